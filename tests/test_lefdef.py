@@ -607,6 +607,23 @@ def test_nets_with_a_nondefault_rule_take_more_tracks(tmp_path: Path, place: str
         Problem.read(design(tmp_path, wide, lef))
 
 
+@pytest.mark.parametrize("place", RULES)
+def test_nondefault_rules_with_unknown_layers_or_negative_sizes(tmp_path: Path, place: str) -> None:
+    unknown = RULES[place].replace("LAYER M1", "LAYER M9", 1).replace("END M1", "END M9", 1)
+    negative = RULES[place].replace("WIDTH ", "WIDTH -", 1)
+    for rules, error in (
+        (unknown, "layer M9: .*expected a routing layer of the LEF files"),
+        (negative, "expected a size of layer M1 in rule wide, .*found '-"),
+    ):
+        lef, text = LEF, DEF
+        if place == "lef":
+            lef = lef.replace("END LIBRARY", f"{rules}END LIBRARY")
+        else:
+            text = text.replace("NETS 2", f"{rules}NETS 2")
+        with pytest.raises(InputError, match=rf"chip.{place}:[0-9]+: {error}"):
+            Problem.read(design(tmp_path, text, lef))
+
+
 def test_clock_nets_of_a_design(tmp_path: Path) -> None:
     problem = Problem.read(design(tmp_path, DEF.replace("USE SIGNAL ;", "USE CLOCK ;")))
     assert problem.chip is not None

@@ -20,11 +20,13 @@ from strategies import problems
 
 from marouting import (
     Adjustment,
+    Controls,
     InputError,
     Net,
     Pin,
     Problem,
     Solution,
+    adjusted,
     evaluate,
     generate,
     sequential_astar,
@@ -270,6 +272,26 @@ def test_the_contests_cost_is_almost_the_least(tmp_path: Path) -> None:
         assert cost.total <= 1.02 * least
         exact += cost.total <= least + 1e-9
     assert exact >= 5
+
+
+def test_the_contests_cost_counts_nets_that_stay(tmp_path: Path) -> None:
+    """Against all short paths of the net that is routed around the other one."""
+    exact = 0
+    for seed in range(8):
+        problem = contest_problem(tmp_path, seed)
+        file = tmp_path / "kept.solution"
+        router(passes=4).route(problem).write(file)
+        stays = Solution.read(file, problem).edges[1]
+        left = adjusted(problem, Controls(keep=str(file), keep_nets="b"))
+        solution = router(cost="ispd2024", passes=40).route(left)
+        cost = contest_cost(solution)
+        solution.write(tmp_path / "whole.solution")
+        assert cost == contest_cost(Solution.read(tmp_path / "whole.solution", problem))
+        pairs = ((path, stays) for path in paths(problem, 0))
+        least = min(contest_cost(Solution(problem, pair)).total for pair in pairs)
+        assert cost.total <= 1.02 * least
+        exact += cost.total <= least + 1e-9
+    assert exact >= 6
 
 
 def test_the_contests_cost_is_what_the_search_counts(tmp_path: Path) -> None:

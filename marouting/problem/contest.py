@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,42 +58,30 @@ def contest_cost(solution: Solution) -> ContestCost:
     edges beside its lower Gcell, or 1 of the only one, unless a wire of the net ends there or
     passes: so a stack of vias costs capacity in every layer that it only passes. An edge's demand
     and capacity are those of its lower Gcell. An edge that a net lists several times counts once
-    here, and each time in the contest.
+    here, and each time in the contest. Nets that the problem keeps count with their routes.
     """
+    solution = solution.whole
     problem = solution.problem
     contest = contest_of(problem)
-    assert problem.chip is not None
-    columns, rows, layers = problem.grid
-    size, (net, edge) = columns * rows * layers, solution.uses
-    near, axis = edge // AXES, edge % AXES
-    layer = near % layers
-    via = axis == VIA_AXIS
-    allowed = via | problem.chip.wires[layer, np.minimum(axis, 1)]
-    refused = np.unique(net[~allowed])
-    wire = allowed & ~via
-    far = near + problem.strides[axis]
-    wires = np.bincount(near[wire], minlength=size).reshape(problem.grid)
-    wired = np.concatenate((net[wire] * size + near[wire], net[wire] * size + far[wire]))
-    stacked = np.setdiff1d(net[via] * size + near[via], wired) % size
-    demand = 2 * wires + _via_demand(problem, contest, stacked)  # in half tracks
-    lengths = (contest.x_length, contest.y_length)
+    uses = uses_of(solution)
     wirelength = sum(
-        float(lengths[a] @ wires[..., contest.axis == a].sum(axis=(1 - a, 2))[:-1]) for a in (0, 1)
+        float(length @ uses.wires[..., contest.axis == a].sum(axis=(1 - a, 2))[:-1])
+        for a, length in enumerate((contest.x_length, contest.y_length))
     )
     over = np.where(
         contest.capacity > _LEAST,
-        demand / 2 - contest.capacity,
-        np.where(demand > 0, WITHOUT * demand, -np.inf),
+        uses.half_tracks / 2 - contest.capacity,
+        np.where(uses.half_tracks > 0, WITHOUT * uses.half_tracks, -np.inf),
     )
     with np.errstate(over="ignore"):
         by_layer = np.exp(SLOPE * over[..., 1:]).sum(axis=(0, 1))
         overflow = float(by_layer @ contest.overflow_cost[1:])
     parts = (
         wirelength * contest.wire_cost,
-        int(np.count_nonzero(via)) * contest.via_cost,
+        len(uses.via) * contest.via_cost,
         min(overflow, sys.float_info.max / 4),
     )
-    open_nets = np.union1d(refused, _open_nets(problem, wired, net[via], near[via]))
+    open_nets = np.union1d(uses.refused, _open_nets(problem, uses.wired, uses.via))
     names = tuple(problem.nets[index].name for index in open_nets.tolist())
     return ContestCost(sum(parts), *parts, names)
 
@@ -124,6 +113,47 @@ def usable(capacity: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.where(capacity > _LEAST, capacity, 0.0)
 
 
+class Uses(NamedTuple):
+    """What a solution uses, by the contest's rules. An edge along a layer is its lower Gcell's.
+
+    Attributes:
+        wires: (X, Y, Z) nets with a wire on each edge, where the layer can have it.
+        half_tracks: (X, Y, Z) demand of each edge, in half tracks.
+        wired: net · Gcells + Gcell for both ends of each of these wires.
+        via: net · Gcells + Gcell for the lower end of each via.
+        refused: nets with wires that their layer cannot have.
+    """
+
+    wires: NDArray[np.int64]
+    half_tracks: NDArray[np.int64]
+    wired: NDArray[np.int64]
+    via: NDArray[np.int64]
+    refused: NDArray[np.int64]
+
+
+def uses_of(solution: Solution) -> Uses:
+    """What a solution uses; raises InputError for a problem that is none of the contest."""
+    problem, (net, edge) = solution.problem, solution.uses
+    contest = contest_of(problem)
+    assert problem.chip is not None
+    size = int(np.prod(problem.grid))
+    near, axis = edge // AXES, edge % AXES
+    allowed = problem.chip.wires[near % problem.grid[2], np.minimum(axis, 1)]
+    inside = axis != VIA_AXIS
+    wire, own = inside & allowed, net * size + near
+    wired = np.concatenate((own[wire], (own + problem.strides[axis])[wire]))
+    via = own[~inside]
+    wires = np.bincount(near[wire], minlength=size).reshape(problem.grid)
+    stacked = np.setdiff1d(via, wired) % size
+    return Uses(
+        wires=wires,
+        half_tracks=2 * wires + _via_demand(problem, contest, stacked),
+        wired=wired,
+        via=via,
+        refused=np.unique(net[inside & ~allowed]),
+    )
+
+
 def _via_demand(
     problem: Problem, contest: Contest, stacked: NDArray[np.int64]
 ) -> NDArray[np.int64]:
@@ -144,7 +174,7 @@ def _via_demand(
 
 
 def _open_nets(
-    problem: Problem, wired: NDArray[np.int64], via_net: NDArray[np.int64], via: NDArray[np.int64]
+    problem: Problem, wired: NDArray[np.int64], via: NDArray[np.int64]
 ) -> NDArray[np.int64]:
     """(open,) the nets whose pins are not joined.
 
@@ -153,8 +183,7 @@ def _open_nets(
     """
     assert problem.chip is not None
     size = int(np.prod(problem.grid))
-    lower = via_net * size + via
-    covered = np.unique(np.concatenate((wired, lower, lower + 1)))
+    covered = np.unique(np.concatenate((wired, via, via + 1)))
     ends = []
     for axis in range(AXES):
         pairs = np.stack(neighbours(problem.grid, covered, axis))

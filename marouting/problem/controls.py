@@ -93,8 +93,9 @@ class Controls:
         check_fields(self, Controls, long_nets=(1, 2**31 - 1))
         for layers, factor in self.derate.items():
             check(f"derate.{layers}", 0 <= factor <= 1, f"a number from 0 to 1, found {factor}")
-        both = (self.long_layers is None) == (self.long_nets is None)
-        check("long_layers", both, "long_nets beside it: from which length on nets are long")
+        long_layers, long_nets = self.long_layers is not None, self.long_nets is not None
+        check("long_layers", long_nets or not long_layers, "long_nets beside it, from what length")
+        check("long_nets", long_layers or not long_nets, "long_layers beside it, a range of layers")
         check("clock_nets", not self.clock_nets or self.clock_layers, "clock_layers beside them")
         check("keep_nets", not self.keep_nets or self.keep, "keep beside them, a file of routes")
 
@@ -130,6 +131,10 @@ class ProblemFile(Controls):
             return adjusted(problem, self)
         except InputError as error:
             raise InputError(f"{self.path}: {error}") from None
+
+
+_NONE = Controls()
+"""Controls that change nothing."""
 
 
 def adjusted(problem: Problem, controls: Controls) -> Problem:
@@ -170,9 +175,6 @@ def adjusted(problem: Problem, controls: Controls) -> Problem:
     nets = tuple(found.nets[i] for i in free.tolist())
     chip, own = _chip_of(problem.chip, free), Kept(problem, free, stays.uses)
     return replace(found, nets=nets, chip=chip, kept=own)
-
-
-_NONE = Controls()  # which change nothing
 
 
 # --- Layers ---------------------------------------------------------------------------------------

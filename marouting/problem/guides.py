@@ -59,15 +59,14 @@ def check_guide(path: str | os.PathLike[str], problem: Problem) -> GuideCheck | 
     if isinstance(record, ispd.SolutionRecord) or not len(record.boxes):
         return None
     net, box, layer = record.net, record.boxes[:, :4], record.boxes[:, 4]
-    lines = (chip.x, chip.y, chip.x, chip.y)
-    on_grid = np.stack([np.isin(box[:, i], at) for i, at in enumerate(lines)]).all(axis=0)
-    first = [np.searchsorted(at, box[:, i], "right") - 1 for i, at in enumerate(lines[:2])]
-    last = [np.searchsorted(at, box[:, i + 2], "left") for i, at in enumerate(lines[:2])]
-    first = [at.clip(0, len(line) - 2) for at, line in zip(first, lines, strict=False)]
-    last = [
-        np.minimum(np.maximum(b, a + 1), len(line) - 1)
-        for a, b, line in zip(first, last, lines, strict=False)
-    ]
+    lines = (chip.x, chip.y)
+    on_grid = np.all([np.isin(box[:, i], lines[i % 2]) for i in range(4)], axis=0)
+    first, last = [], []
+    for axis, line in enumerate(lines):
+        begin = np.searchsorted(line, box[:, axis], "right") - 1
+        end = np.searchsorted(line, box[:, axis + 2], "left")
+        first.append(begin.clip(0, len(line) - 2))
+        last.append(end.clip(first[axis] + 1, len(line) - 1))
     index, x, y = gcells_of_boxes(first, last, USED, "boxes of {} Gcells")
     size = int(np.prod(problem.grid))
     gcell = np.stack((x, y, layer[index]), axis=1) @ problem.strides

@@ -243,6 +243,18 @@ class Solution:
             )
         return Solution.of_uses(problem, *np.divmod(uses, size))
 
+    @property
+    def whole(self) -> "Solution":
+        """With the routes of nets that the problem keeps; this solution if there are none."""
+        kept = self.problem.kept
+        if kept is None:
+            return self
+        (net, edge), (kept_net, kept_edge) = self.uses, kept.uses
+        owner = np.concatenate((kept.free[net], kept_net))
+        edges = np.concatenate((edge, kept_edge))
+        order = np.lexsort((edges, owner))
+        return Solution.of_uses(kept.whole, owner[order], edges[order])
+
     def write(self, path: str | os.PathLike[str], format: RouteFormat | None = None) -> None:
         """Writes the routes, whole or not at all.
 
@@ -264,12 +276,8 @@ class Solution:
         Raises:
             InputError: the format cannot hold the routes, or the file cannot be written.
         """
-        if (kept := self.problem.kept) is not None:
-            (net, edge), (kept_net, kept_edge) = self.uses, kept.uses
-            owner = np.concatenate((kept.free[net], kept_net))
-            edges = np.concatenate((edge, kept_edge))
-            order = np.lexsort((edges, owner))
-            Solution.of_uses(kept.whole, owner[order], edges[order]).write(path, format)
+        if self.problem.kept is not None:
+            self.whole.write(path, format)
             return
         format = format or _BY_SUFFIX.get(suffix_of(path), "ispd2008")
         nets = self.problem.nets

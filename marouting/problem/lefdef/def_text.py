@@ -184,9 +184,7 @@ def _read_statement(
         step = max(1, whole(rest[5], "a step", int(count > 1)))
         layers = tuple(rest[names.index("LAYER") + 1 :]) if "LAYER" in names else ()
         for name in layers:
-            if name not in library.routing and name not in library.others:
-                hint = nearest(name, library.routing)
-                raise InputError(f"layer {name}: {hint}expected a routing layer of the LEF files")
+            library.check_layer(name)
         tracks = Tracks(int(names[0] == "Y"), first, count, step, layers, line)
         (design.tracks if word == "TRACKS" else design.gcells).append(tracks)
 
@@ -242,7 +240,7 @@ def _read_section(
             design.vias.add(rest[0])
             _check_arrays(rest)
         elif section == "NONDEFAULTRULES":
-            design.rules[rest[0]] = _rule(rest)
+            design.rules[rest[0]] = _rule(rest, library)
         elif section == "SPECIALNETS":
             _check_arrays(rest)
             _check_vias(rest, design, library)
@@ -266,18 +264,20 @@ def _read_section(
         )
 
 
-def _rule(rest: list[str]) -> Rule:
+def _rule(rest: list[str], library: Library) -> Rule:
     """Width and spacing by layer of ``name {+ LAYER layer WIDTH w … [SPACING s] …}``."""
     rule = Rule()
     for clause in _clauses(rest[1:]):
         if clause[0].upper() == "LAYER" and len(clause) > 1:
+            library.check_layer(clause[1])
             sizes = dict(zip([word.upper() for word in clause[2::2]], clause[3::2], strict=False))
             what = f"a size of layer {clause[1]} in rule {rest[0]}"
-            width, spacing = (
-                number(sizes[name], what) if name in sizes else None
-                for name in ("WIDTH", "SPACING")
-            )
-            rule[clause[1]] = (width, spacing)
+            found: list[float | None] = []
+            for name in ("WIDTH", "SPACING"):
+                found.append(number(sizes[name], what) if name in sizes else None)
+                if (found[-1] or 0) < 0:
+                    raise unexpected(f"{what}, from 0", [sizes[name]])
+            rule[clause[1]] = (found[0], found[1])
     return rule
 
 

@@ -7,7 +7,7 @@ import os
 import re
 from dataclasses import dataclass, field
 
-from marouting.errors import InputError
+from marouting.errors import InputError, nearest
 from marouting.problem.ispd.lines import reading, unexpected
 from marouting.problem.lefdef.statements import (
     ENCODING_ERRORS,
@@ -48,6 +48,7 @@ class Library:
         rules: width and spacing of each layer by nondefault rule and layer, None: as usual.
         pin_vias: vias that are shapes of macros' pins: macro, pin, via, and where it stands.
         used_vias: the vias of macros, with the file and the line that first names each.
+        used_layers: the layers of nondefault rules, with the same.
         files: their names.
     """
 
@@ -58,6 +59,7 @@ class Library:
     rules: dict[str, Rule] = field(default_factory=dict)
     pin_vias: list[tuple[str, str, str, float, float]] = field(default_factory=list)
     used_vias: dict[str, str] = field(default_factory=dict)
+    used_layers: dict[str, str] = field(default_factory=dict)
     files: list[str] = field(default_factory=list)
 
     @property
@@ -66,7 +68,7 @@ class Library:
         return list(self.routing.values())
 
     def check(self) -> None:
-        """Raises InputError if a layer lacks what routing takes, or a via is not defined."""
+        """Raises InputError if a layer lacks what routing takes, or a name is not defined."""
         for layer in self.layers:
             if layer.axis < 0:
                 raise InputError(
@@ -77,6 +79,17 @@ class Library:
         for via, at in self.used_vias.items():
             if via not in self.vias:
                 raise InputError(f"{at}: expected a via of the LEF files, found {via}")
+        for layer, at in self.used_layers.items():
+            try:
+                self.check_layer(layer)
+            except InputError as error:
+                raise InputError(f"{at}: {error}") from None
+
+    def check_layer(self, name: str) -> None:
+        """Raises InputError if no layer has a name."""
+        if name not in self.routing and name not in self.others:
+            hint = nearest(name, self.routing)
+            raise InputError(f"layer {name}: {hint}expected a routing layer of the LEF files")
 
 
 _NAMED = {"VIARULE", "SITE", "ARRAY"}
@@ -107,7 +120,7 @@ def read_library(path: str | os.PathLike[str], library: Library, copy: Copy) -> 
                 library.vias.add(name := words.word())
                 words.skip_to("END", name)
             elif word == "NONDEFAULTRULE":
-                _read_rule(words, library)
+                _read_rule(words, library, os.fspath(path))
             elif word in _NAMED:
                 words.skip_to("END", words.word())
             elif word in _CLOSED:
@@ -180,7 +193,7 @@ def _first_spacing(rest: list[str], layer: Layer) -> float | None:
     return _size(rest[at : at + 1], f"the spacing of layer {layer.name}")[0]
 
 
-def _read_rule(words: Statements, library: Library) -> None:
+def _read_rule(words: Statements, library: Library, file: str) -> None:
     """Reads a nondefault rule, whose layers and vias are blocks that end with their name."""
     name = words.word()
     begun, rule = words.line, Rule()
@@ -189,6 +202,7 @@ def _read_rule(words: Statements, library: Library) -> None:
             raise InputError(f"file ends inside rule {name}, which begins in line {begun}")
         if keyword == "LAYER":
             layer = words.word()
+            library.used_layers.setdefault(layer, f"{file}:{words.line}")
             size: dict[str, float] = {}
             while (inside := words.keyword()) != "END":
                 rest = words.rest()

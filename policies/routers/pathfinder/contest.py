@@ -8,8 +8,8 @@ without use cost, the length of a solution is its cost by the contest's rules
 
 import numpy as np
 
-from marouting import InputError, Problem
-from marouting.problem.contest import contest_of, usable
+from marouting import InputError, Problem, Solution
+from marouting.problem.contest import contest_of, usable, uses_of
 from marouting.problem.grid import AXES, VIA_AXIS
 from policies.routers.pathfinder.state import UNIT, ProblemArrays, Routing
 
@@ -37,6 +37,11 @@ def with_contest(
     overflow_cost = contest.overflow_cost * UNIT / usual
     overflow_cost[0] = 0.0
     routing.progress["contest"], routing.progress["crowding"] = 1, 1.0
+    taken = np.zeros_like(tracks)
+    if problem.kept is not None:
+        uses = uses_of(Solution.of_uses(problem.kept.whole, *problem.kept.uses))
+        for z, axis in enumerate(contest.axis):
+            taken[..., z, axis] = uses.half_tracks[..., z] / 2
     return (
         arrays._replace(
             wire=wire,
@@ -45,5 +50,5 @@ def with_contest(
             tracks=tracks.reshape(-1),
             along=contest.axis.astype(np.int64),
         ),
-        routing._replace(vias=np.zeros(len(routing.price))),
+        routing._replace(vias=taken.reshape(-1)),
     )

@@ -161,7 +161,7 @@ class Routing(NamedTuple):
     progress: NDArray[Any]  # (1,) PROGRESS
     order: NDArray[np.int64]  # (routable nets,) the order of the nets in this pass
     remaining: NDArray[np.int64]  # (E,) capacity minus demand; negative where edges overflow
-    vias: NDArray[np.float64]  # (E,) tracks that vias take by the rules of ISPD 2024, or empty
+    vias: NDArray[np.float64]  # (E,) ISPD 2024: tracks that vias and kept nets take; or empty
     price: NDArray[np.float64]  # (E,) price from past overflow, in units of cost
     ideal: NDArray[np.int64]  # (N,) length of the net's shortest tree so far; -1: none yet
     edge: NDArray[np.int32]  # (2, pool) edges of the trees, in the pool in use
