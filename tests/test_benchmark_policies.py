@@ -66,6 +66,19 @@ class Lies(First):
 
 class Later(First):
     options = {"turn_order": "sequential"}
+
+
+class Few(First):
+    def moves(self, observations, masks):
+        return masks.argmax(axis=1)[1:]
+
+
+class Listed(First):
+    options = ["turn_order"]
+
+
+class Many(First):
+    parameters = "many"
 """
 
 
@@ -187,6 +200,9 @@ REFUSED = {
     "own:Later": r"turn_order: expected round_robin, as gates-8x7-v0 is played, found sequential",
     "own:Sees": r"own:Sees: expected a class with a method route or moves, or a learner",
     "own:First other=1": "other",
+    "own:Few": r"policy: expected \(249,\) integers, one for each observation, found int64 \(248,",
+    "own:Listed": r"options: expected a mapping, found \['turn_order'\]",
+    "own:Many": r"parameters: expected a whole number or null, found 'many'",
 }
 
 

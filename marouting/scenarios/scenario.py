@@ -164,7 +164,7 @@ class Scenario:
         known = references_in(self.references).references
         found = known.get(digest(problem))
         if found is None:
-            check(f"{self.name}: references", known, "a file with them")
+            check(f"{self.name}: references", known, "a file with them, see docs/scenarios.md")
             raise InputError(
                 f"problem: expected a validation or test problem of {self.name}, found another"
             )

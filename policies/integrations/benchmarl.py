@@ -31,6 +31,14 @@ from marouting.files import naming, read_text
 from policies.integrations.saved import Training
 from policies.integrations.torchrl import GROUP, GroupMoves, RoutingEnv
 
+ROW = "row.json"
+"""In the run folder of :mod:`.value_decomposition`: what its training took."""
+
+_MOST_BYTES = 2**24
+
+_OF_THE_TASK = ("max_cycles", "shared")
+"""Keys of a task that are no options of its environment."""
+
 
 class RoutingClass(TaskClass):
     """Global routing: every net is an agent of one group, and all share one capacity grid."""
@@ -181,12 +189,3 @@ class Policy(Moves):
             teacher = bool(teacher)
         self.training = {**took, "teacher": teacher}
         self.obs_shape = tuple(experiment.observation_spec[GROUP, "observation"].shape[1:])
-
-
-ROW = "row.json"
-"""In the run folder of :mod:`.value_decomposition`: what its training took."""
-
-_MOST_BYTES = 2**24
-
-_OF_THE_TASK = ("max_cycles", "shared")
-"""Keys of a task that are no options of its environment."""
