@@ -79,9 +79,9 @@ class Library:
         for via, at in self.used_vias.items():
             if via not in self.vias:
                 raise InputError(f"{at}: expected a via of the LEF files, found {via}")
-        for layer, at in self.used_layers.items():
+        for name, at in self.used_layers.items():
             try:
-                self.check_layer(layer)
+                self.check_layer(name)
             except InputError as error:
                 raise InputError(f"{at}: {error}") from None
 
