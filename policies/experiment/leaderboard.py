@@ -167,7 +167,7 @@ _POLICIES = (
     "by the optimum's wirelength; interquartile mean over the seeds. **Solved**: problems without "
     "open tasks. **Connected**: tasks. **Gap**: mean wirelength above the optimum, of the solved "
     "problems. **Sees**: what a net sees when it chooses, verified for radii. Planners see the "
-    "whole problem: they are bounds, no competitors. **Teacher**: whether it learned from something "
+    "whole problem: they are bounds, no competitors. **Teacher**: whether it learned from a router "
     "with sight of the whole problem. **Agent-steps** and **training** (processor time): of one "
     "seed. **?**: not known."
 )
