@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from scipy.stats import bootstrap, trim_mean
 
 from marouting.config import Meets, between, build_json, check
 from marouting.files import read_text, write_text
@@ -342,30 +341,17 @@ def policy_figures(result: Result) -> dict[str, Any]:
             least = max(result.by_name[row.problem].reference[2], 1)
             gaps.append(100 * (row.wirelength / least - 1))
     scores = [scale.score(cost) for cost in costs]
-    mean = float(_middle(scores))
-    low, high = mean, mean
-    if len(scores) > 1 and max(scores) > min(scores):
-        found = bootstrap(
-            (scores,),
-            _middle,
-            method="percentile",
-            random_state=np.random.default_rng(0),  # called rng from SciPy 1.15 on
-        )
-        low, high = map(float, found.confidence_interval)
+    # As of one problem: the cost is that of all problems together.
+    low, high = bootstrap_interval(np.array([scores]))
     return {
-        "score": {"mean": mean, "low": low, "high": high},
+        "score": {"mean": interquartile_mean(np.array(scores)), "low": low, "high": high},
         "costs": costs,
-        "cost": float(_middle(costs)),
+        "cost": interquartile_mean(np.array(costs)),
         "solved": statistics.fmean(solved),
         "connected": statistics.fmean(connected),
         "gap": statistics.fmean(gaps) if gaps else None,
         **told,
     }
-
-
-def _middle(values: Any, axis: int = 0) -> Any:
-    """The interquartile means along an axis."""
-    return trim_mean(values, 0.25, axis=axis)
 
 
 def _whole(value: float) -> float:
