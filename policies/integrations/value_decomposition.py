@@ -18,14 +18,15 @@ What is set here, of BenchMARL 1.5's options (``benchmarl/conf``):
 ``lr``                          5e-4        5e-5, the default, is for ten times as many frames
 ``gamma``                       0.99        as our learners have
 ``polyak_tau``                  0.01        twice as quick: the trainings are short
-frames of a batch               1280        20 moves of 64 games
-optimiser steps, of frames      40, of 256  a frame is learned from eight times
-memory                          50 000      frames; 100 000 agents' windows, 0.6 GB
-ε                               1 to 0.05   over the first third of the steps
+moves between updates           3200        of 64 games
+optimiser steps, of moves       40, of 640  a move is learned from eight times
+memory                          125 000     moves of agents, 0.6 GB
+ε                               1 to 0.05   over the first third of the agent-steps
 networks                        2 × 128     as our learners have
 ==============================  ==========  ========================================================
 
-They were set before the first training, and nothing was tuned. All else is as BenchMARL has it. An
+BenchMARL counts all this in frames, moves of all agents of a game; :func:`train` divides by the
+mean number of nets. Nothing was tuned. All else is as BenchMARL has it. An
 evaluation on the validation problems after every twentieth of the steps gives the learning curve;
 the last network is kept.
 """
@@ -50,12 +51,13 @@ from marouting import InputError, evaluate_policy, scenarios
 from marouting.config import build_json, check
 from marouting.files import read_text, write_text
 from policies.integrations.benchmarl import ROW, Moves, RoutingClass
+from policies.integrations.torchrl import GROUP
 
 REWARD = {"kind": "team", "overflow": 1.0, "open": 1.0, "wirelength": 0.05}
 """The team reward of the cooperative scenarios, divided by 20."""
 
-AGENTS = 2.0
-"""Agent-steps of a frame, about; ε falls by frames."""
+GAMES = 64
+"""Games that are played side by side."""
 
 
 class _Steps(Callback):
@@ -68,8 +70,11 @@ class _Steps(Callback):
         self.curve: list[tuple[int, float]] = []
 
     def on_batch_collected(self, batch: Any) -> None:
-        """Counts the moves that nets made."""
-        self.steps += int(batch["next", "info", "acted"].sum())
+        """Counts the moves that nets made, and has ε fall by them: BenchMARL counts frames."""
+        acted = int(batch["next", "info", "acted"].sum())
+        self.steps += acted
+        explores = self.experiment.group_policies[GROUP][-1]
+        explores.annealing_num_steps = self.most / 3 * batch.numel() / max(acted, 1)
 
     def on_train_end(self, training_td: Any, group: str) -> None:
         """Evaluates, and ends the training when all steps are made."""
@@ -122,12 +127,14 @@ def train(
     config = ExperimentConfig.get_from_yaml()
     config.max_n_frames = steps  # at least: a frame is one agent-step or more
     config.gamma, config.lr, config.polyak_tau = 0.99, 5e-4, 0.01
-    config.off_policy_collected_frames_per_batch = 1280
-    config.off_policy_n_envs_per_worker = 64
-    config.off_policy_n_optimizer_steps, config.off_policy_train_batch_size = 40, 256
-    config.off_policy_memory_size = 50_000
+    problems = found.problems("validation").values()
+    nets = sum(len(problem.nets) for problem in problems) / len(problems)
+    config.off_policy_n_envs_per_worker = GAMES
+    config.off_policy_collected_frames_per_batch = GAMES * max(round(3200 / GAMES / nets), 1)
+    config.off_policy_n_optimizer_steps = 40
+    config.off_policy_train_batch_size = max(round(640 / nets), 1)
+    config.off_policy_memory_size = round(125_000 / nets)
     config.exploration_eps_init, config.exploration_eps_end = 1.0, 0.05
-    config.exploration_anneal_frames = max(int(steps / AGENTS / 3), 1)
     config.evaluation, config.loggers, config.create_json = False, [], False
     config.render, config.save_folder = False, str(out.parent)
     config.exclude_buffer_from_checkpoint = True
