@@ -342,6 +342,13 @@ def test_a_budget_fills_in_what_the_router_knows() -> None:
     assert from_text("astar best_of=16 target=tree", None, None).name == "astar-16-tree"
 
 
+def test_the_rules_of_a_scenario_are_its_best_one_and_those_of_all() -> None:
+    entries, _ = load_entries("configs/benchmark/rules.yaml", (), None)
+    levels = [name for name in scenarios.names() if scenarios.get(name).has_local_rule("test")]
+    best = [name for entry in entries for name in entry.only or ()]
+    assert sorted(best) == sorted(levels)
+
+
 @pytest.mark.parametrize("name", ["baselines", "learners"])
 def test_the_configurations_that_travel_with_the_package(name: str) -> None:
     entries, config = load_entries(f"configs/benchmark/{name}.yaml", (), None)

@@ -14,6 +14,9 @@ from policies.cli.options import FILE, WHOLE, allow_code_option, json_option, ov
 BASELINES = Path("configs/benchmark/baselines.yaml")
 """What is scored unless a router is named."""
 
+RULES = BASELINES.with_name("rules.yaml")
+"""The same in scenarios of docs/cooperation.md."""
+
 
 @click.command()
 @overrides_argument(keys_of("benchmark"))
@@ -34,15 +37,15 @@ BASELINES = Path("configs/benchmark/baselines.yaml")
     shell_complete=routers,
     help="Name of a router or learner, or module:Class, each with options, as in 'astar "
     "best_of=16'; file of a trained policy or run folder of a training; folder of solutions; or "
-    "CSV file of published figures. May be given several times. Without it and --config, all "
-    "routers that are not learners.",
+    "CSV file of published figures. May be given several times.  [default: those of --config]",
 )
 @click.option("--name", help="The router's name in tables.  [default: derived from --router]")
 @click.option(
     "--config",
     type=FILE,
-    help="YAML file of more routers, by name.  [default: configs/benchmark/baselines.yaml, if "
-    "there is no --router]",
+    help="YAML file of more routers, by name.  [default, if there is no --router: "
+    "configs/benchmark/baselines.yaml, what does not learn; in scenarios of docs/cooperation.md "
+    "configs/benchmark/rules.yaml, fixed rules]",
 )
 @click.option(
     "--budget",
@@ -143,8 +146,6 @@ def benchmark(
     if not names:
         known = ", ".join(scenarios.names())
         raise InputError(f"--scenario: expected one of {known}, or all")
-    if not routers and config is None:
-        config = BASELINES
     if name is not None and len(routers) != 1:
         raise InputError("--name: expected one --router with it")
     given = None if budget is None else Budget.parse(budget)
@@ -159,6 +160,8 @@ def benchmark(
     chosen = scenarios.names() if "all" in names else list(dict.fromkeys(names))
     scored = [of for of in chosen if scenarios.get(of).has_local_rule(cast(Split, split))]
     alone = scored[0] if len(chosen) == 1 and scored else None
+    if not routers and config is None:
+        config = RULES if scored == chosen else BASELINES
     course = Course(scenario=alone, steps=training_steps, seconds=training_seconds)
     entries: list[Entry] = []
     if config is not None:

@@ -1,0 +1,116 @@
+"""Draws docs/pictures/cooperation/trained.svg and prints the table of docs/cooperation.md.
+
+python docs/pictures/trained.py
+
+Both are made from docs/results/benchmark: the costs of every seed of the policies that were trained
+for 1 M or 10 M agent-steps.
+"""
+
+import statistics
+from pathlib import Path
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from policies.experiment.result import Result, policy_figures, read_result
+from policies.figures.style import BLUE, INK, ORANGE, RED, save
+
+DOCS = Path(__file__).parents[1]
+BUDGETS = {10**6: "1 M", 10**7: "10 M"}
+COLOURS = {"selfish": RED, "team": BLUE, "counterfactual": ORANGE}
+
+
+def trained() -> dict[str, dict[str, dict[int, list[float]]]]:
+    """The costs of all seeds by scenario, by row without its budget, and by budget."""
+    found: dict[str, dict[str, dict[int, list[float]]]] = {}
+    for file in sorted((DOCS / "results/benchmark").glob("*.json")):
+        result = read_result(file)
+        steps = (result.policy and result.policy.agent_steps) or 0
+        for budget in BUDGETS:
+            if result.split == "test" and budget <= steps < 1.5 * budget:
+                row = result.name.removesuffix("-10m")
+                costs = policy_figures(result)["costs"]
+                found.setdefault(result.scenario, {}).setdefault(row, {})[budget] = costs
+                RULES[result.scenario] = _rule(result)
+    return found
+
+
+RULES: dict[str, float] = {}  # the cost of the best local rule, by scenario
+
+
+def _rule(result: Result) -> float:
+    assert result.scale is not None
+    return result.scale.local_rule
+
+
+def order(row: str) -> tuple[int, str]:
+    """Rows with the same reward stand together."""
+    learner, _, reward = row.partition("-")
+    return list(COLOURS).index(reward), learner
+
+
+def told(costs: list[float]) -> str:
+    """The median, the range and, unless there are five, the number of seeds."""
+    seeds = "" if len(costs) == 5 else f", {len(costs)} seed{'s' * (len(costs) > 1)}"
+    if len(costs) == 1:
+        return f"{costs[0]:.3f} (one seed)"
+    return f"{statistics.median(costs):.3f} ({min(costs):.3f}–{max(costs):.3f}{seeds})"
+
+
+def table(found: dict[str, dict[str, dict[int, list[float]]]]) -> str:
+    """Costs by row and scenario, as Markdown; one table for each budget."""
+    lines = []
+    for budget, words in BUDGETS.items():
+        levels = [of for of, rows in found.items() if any(budget in own for own in rows.values())]
+        rows = {row for of in levels for row, own in found[of].items() if budget in own}
+        lines += ["", f"{words} agent-steps", ""]
+        lines += ["| policy | " + " | ".join(f"`{level}`" for level in levels) + " |"]
+        lines += ["|---|" + "---:|" * len(levels)]
+        for row in sorted(rows, key=order):
+            cells = [found[level].get(row, {}).get(budget) for level in levels]
+            shown = " | ".join("–" if cell is None else told(cell) for cell in cells)
+            lines.append(f"| `{row}` | {shown} |")
+        rules = " | ".join(f"{RULES[level]:.3f}" for level in levels)
+        lines.append(f"| best local rule | {rules} |")
+    return "\n".join(lines)
+
+
+def draw(axes: Axes, scenario: str, rows: dict[str, dict[int, list[float]]]) -> None:
+    """A panel: the costs of the seeds of each row."""
+    names = sorted(rows, key=order)
+    for at, name in enumerate(names):
+        colour = COLOURS[name.partition("-")[2]]
+        for budget, costs in rows[name].items():
+            long = budget == max(BUDGETS)
+            x = [at + (0.2 if long else -0.2)] * len(costs)
+            fill = colour if long else "white"
+            axes.plot(x, costs, "o", color=colour, markerfacecolor=fill, markersize=5, zorder=2)
+    axes.axhline(RULES[scenario], color=INK, linestyle=":", linewidth=1, zorder=1)
+    axes.axhline(1, color=INK, linewidth=1, zorder=1)
+    axes.set_xticks(range(len(names)), [name.replace("-", "\n") for name in names], fontsize=7)
+    axes.set_title(scenario, fontsize=10, color=INK)
+    axes.tick_params(axis="y", labelsize=8)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+
+
+def main() -> None:
+    """Prints the tables and draws the picture."""
+    mpl.rcParams["svg.hashsalt"] = "marouting"
+    found = trained()
+    print(table(found))
+    shown = [name for name, rows in found.items() if len(rows) > 2]
+    lines = -(-len(shown) // 2)
+    figure = Figure(figsize=(9.5, 2.6 * lines), layout="constrained")
+    panels = figure.subplots(lines, 2, squeeze=False).ravel()
+    for axes, scenario in zip(panels, shown, strict=False):
+        draw(axes, scenario, found[scenario])
+    for axes in panels[len(shown) :]:
+        axes.set_axis_off()
+    figure.supylabel("cost on the test problems", fontsize=9, color=INK)
+    save(figure, DOCS / "pictures/cooperation/trained.svg")
+
+
+if __name__ == "__main__":
+    main()
