@@ -9,7 +9,7 @@ from marouting.memory import USED
 from marouting.problem.chip import Chip, Places
 from marouting.problem.grid import AXES, VIA_AXIS, gcells_of_boxes, neighbours
 from marouting.problem.net import FieldError
-from marouting.problem.parts import mark_joins
+from marouting.problem.parts import joined_parts, mark_joins
 from marouting.problem.problem import Problem
 from marouting.problem.segments import longest_runs
 
@@ -70,9 +70,10 @@ def edges_in_boxes(problem: Problem, boxes: Boxes) -> tuple[NDArray[np.int64], N
     near, far = np.concatenate(ends, axis=1)
     needed = np.concatenate(costs)
     kept = needed == 0
-    part = np.arange(len(covered))
-    for level in range(3):
-        mark_joins(near, far, np.flatnonzero(needed == level), part, kept)
+    part = joined_parts(near[kept], far[kept], len(covered))
+    for level in (1, 2):
+        apart = np.flatnonzero((needed == level) & (part[near] != part[far]))
+        mark_joins(near, far, apart, part, kept)
     uses = np.sort(AXES * covered[near[kept]] + np.concatenate(axes)[kept])
     return np.divmod(uses, AXES * size)
 

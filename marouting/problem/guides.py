@@ -38,24 +38,38 @@ class GuideCheck:
     split_nets: int
 
 
-def check_guide(path: str | os.PathLike[str], problem: Problem) -> GuideCheck | None:
+Record = ispd.SolutionRecord | ispd.RoutesRecord
+"""A file of routes, as it was read."""
+
+
+def read_record(path: str | os.PathLike[str], problem: Problem) -> Record:
+    """Reads a file of routes of a problem, and of nets that it keeps, in any format.
+
+    Raises:
+        InputError: the file cannot be read or is of none of the formats.
+    """
+    problem = problem if problem.kept is None else problem.kept.whole
+    nets = ((net.name, net.id) for net in problem.nets)
+    return ispd.read_solution(path, nets, problem.chip_or_default.layers)
+
+
+def check_guide(record: Record, problem: Problem) -> GuideCheck | None:
     """Checks a guide.
 
     Pins and boxes are compared by Gcells, which is exact for boxes on the grid.
 
     Args:
-        path: the file.
+        record: what :func:`read_record` read.
         problem: what it is a guide for.
 
     Returns:
         What is wrong with it; None if the file holds routes and no boxes.
 
     Raises:
-        InputError: the file cannot be read or does not fit the problem.
+        InputError: the boxes would take too much memory.
     """
     problem = problem if problem.kept is None else problem.kept.whole
-    chip, nets = problem.chip_or_default, [(net.name, net.id) for net in problem.nets]
-    record = ispd.read_solution(path, nets, chip.layers)
+    chip = problem.chip_or_default
     if isinstance(record, ispd.SolutionRecord) or not len(record.boxes):
         return None
     net, box, layer = record.net, record.boxes[:, :4], record.boxes[:, 4]
