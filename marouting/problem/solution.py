@@ -18,7 +18,7 @@ from marouting.kernels import compiled
 from marouting.problem import ispd
 from marouting.problem.boxes import Boxes, boxes_of, edges_in_boxes
 from marouting.problem.chip import Places
-from marouting.problem.grid import AXES, OFF_GRID, VIA_AXIS
+from marouting.problem.grid import AXES, OFF_GRID, VIA_AXIS, distinct, is_among
 from marouting.problem.guides import Record, patches, read_record
 from marouting.problem.net import FieldError
 from marouting.problem.parts import MANY, joined_parts
@@ -80,7 +80,7 @@ class Solution:
                 f"expected edges of the grid, found {edge[row]}"
             )
         size = AXES * limit.prod()
-        self._keep(problem, *np.divmod(np.unique(net * size + edge), size))
+        self._keep(problem, *np.divmod(distinct(net * size + edge), size))
 
     def _keep(self, problem: Problem, net: NDArray[np.int64], edge: NDArray[np.int64]) -> None:
         for column in (net, edge):
@@ -192,15 +192,15 @@ class Solution:
         size = int(np.prod(problem.grid))
         near = edge // AXES
         ends = np.concatenate((near, near + problem.strides[edge - AXES * near]))
-        reached = np.unique(np.tile(net, 2) * size + ends)
-        reached = np.union1d(reached, _shared_places(problem, places, net))
+        shared = _shared_places(problem, places, net)
+        reached = distinct(np.concatenate((np.tile(net, 2) * size + ends, shared)))
         pins = np.arange(len(places.first) - 1)
         owner = np.repeat(np.arange(len(problem.nets)), np.diff(places.first_pin))
         pin = np.repeat(pins, np.diff(places.first))
-        good = np.flatnonzero(np.isin(owner[pin] * size + places.gcell, reached))
+        good = np.flatnonzero(is_among(owner[pin] * size + places.gcell, reached))
         first = np.full(len(pins), -1)
         first[pin[good[::-1]]] = places.gcell[good[::-1]]
-        moved = (first >= 0) & ~np.isin(owner * size + problem.gcell_of_pins, reached)
+        moved = (first >= 0) & ~is_among(owner * size + problem.gcell_of_pins, reached)
         return (
             np.where(moved, first, problem.gcell_of_pins) if moved.any() else problem.gcell_of_pins
         )
@@ -235,7 +235,7 @@ class Solution:
         if problem.kept is not None:
             whole, free = Solution.of_record(record, problem.kept.whole), problem.kept.free
             net, edge = whole.uses
-            routed = np.isin(net, free)
+            routed = is_among(net, free)
             return Solution.of_uses(problem, np.searchsorted(free, net[routed]), edge[routed])
         try:
             if isinstance(record, ispd.SolutionRecord):
@@ -348,7 +348,7 @@ def _shared_places(
     pins = np.diff(places.first_pin)
     owner = np.repeat(np.arange(len(pins)), pins)
     pin = np.repeat(np.arange(len(owner)), np.diff(places.first))
-    without = ~np.isin(owner[pin], routed)
+    without = ~is_among(owner[pin], routed)
     each = np.unique(np.stack((owner[pin] * size + places.gcell, pin), axis=1)[without], axis=0)
     key, count = np.unique(each[:, 0], return_counts=True)
     shared = key[count == pins[key // size]]
@@ -475,14 +475,14 @@ def evaluate(problem: Problem, solution: Solution) -> Evaluation:
     _, edge = solution.uses
     pin_net, pin_part = _pin_parts(problem, solution)
     first = np.searchsorted(pin_net, np.arange(len(problem.nets)))
-    disconnected = np.unique(pin_net[pin_part != pin_part[first][pin_net]])
+    disconnected = distinct(pin_net[pin_part != pin_part[first][pin_net]])
     return Evaluation(
         overflow=int(overflow.sum()),
         max_overflow=int(overflow.max(initial=0)),
         wirelength=len(edge),
         vias=int(np.count_nonzero(edge - edge // AXES * AXES == VIA_AXIS)),
         connected=not len(disconnected),
-        joined=len(pin_net) - len(np.unique(pin_part)),
+        joined=len(pin_net) - len(distinct(pin_part)),
         tasks=len(pin_net) - len(problem.nets),
         disconnected=tuple(problem.nets[net].name for net in disconnected),
     )
