@@ -94,7 +94,7 @@ def capacity_of(problem: Problem, edge: Edge) -> int | None:
 
 def steiner_length(problem: Problem) -> NDArray[np.int64]:
     """(nets,) int64, the length of each net's Steiner tree in edges; 0 within one Gcell."""
-    net, start, target = steiner_tasks(problem).T
+    net, start, target = steiner_tasks(*problem.flat_pin_gcells, problem.grid).T
     position = problem.topology.position
     length = np.zeros(len(problem.nets), np.int64)
     np.add.at(length, net, np.abs(position[start] - position[target]).sum(axis=1))

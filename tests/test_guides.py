@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from marouting import ProblemFile, Solution, evaluate, sequential_astar
-from marouting.problem.guides import CROWDED, GuideCheck, check_guide
+from marouting.problem.guides import CROWDED, GuideCheck, check_guide, read_record
 from policies.cli.main import status
 
 CHIP = Path(__file__).resolve().parents[1] / "docs" / "examples" / "problems" / "chip.def"
@@ -18,7 +18,7 @@ GOOD = (0, 0, 0)
 
 
 def found(path: Path) -> tuple[int, int, int]:
-    checked = check_guide(path, PROBLEM)
+    checked = check_guide(read_record(path, PROBLEM), PROBLEM)
     assert checked is not None
     return checked.off_grid, checked.open_pins, checked.split_nets
 
@@ -104,7 +104,9 @@ def test_what_is_wrong_with_a_guide(tmp_path: Path, solution: Solution) -> None:
     file = tmp_path / "a.guide"
     solution.write(file)
     good = file.read_text()
-    assert check_guide(file, PROBLEM) == GuideCheck(good.count(" Metal"), *GOOD)
+    assert check_guide(read_record(file, PROBLEM), PROBLEM) == GuideCheck(
+        good.count(" Metal"), *GOOD
+    )
     blocks = good.split(")\n")
     cells = {
         name: [line for line in block.splitlines() if " Metal" in line]
@@ -130,7 +132,7 @@ def test_what_is_wrong_with_a_guide(tmp_path: Path, solution: Solution) -> None:
     middle = [line for line in lines if "Metal2" not in line]
     assert with_lines(middle)[2] == 1
     solution.write(tmp_path / "a.solution")
-    assert check_guide(tmp_path / "a.solution", PROBLEM) is None
+    assert check_guide(read_record(tmp_path / "a.solution", PROBLEM), PROBLEM) is None
 
 
 def test_evaluate_checks_guides(tmp_path: Path, solution: Solution, capsys: Any) -> None:
@@ -149,5 +151,5 @@ def test_evaluate_checks_guides(tmp_path: Path, solution: Solution, capsys: Any)
 @pytest.mark.skipif(not ISPD18.exists(), reason="needs the design in ../shared/data")
 def test_the_contests_own_guide_meets_its_rules() -> None:
     design = ProblemFile(path=str(ISPD18 / "ispd18_test1.input.def"), tile=(6000, 5700)).read()
-    checked = check_guide(ISPD18 / "ispd18_test1.input.guide", design)
+    checked = check_guide(read_record(ISPD18 / "ispd18_test1.input.guide", design), design)
     assert checked == GuideCheck(26598, *GOOD)

@@ -41,7 +41,7 @@ def problem_of(nets: Sequence[Sequence[Gcell]], grid: tuple[int, int, int]) -> P
 def tasks_of(problem: Problem) -> list[list[tuple[Gcell, Gcell]]]:
     """For each net its tasks, in order."""
     tasks: list[list[tuple[Gcell, Gcell]]] = [[] for _ in problem.nets]
-    for net, start, target in steiner_tasks(problem).tolist():
+    for net, start, target in steiner_tasks(*problem.flat_pin_gcells, problem.grid).tolist():
         tasks[net].append((gcell_of(problem, start), gcell_of(problem, target)))
     return tasks
 
@@ -74,7 +74,7 @@ def hanan(points: Sequence[Gcell]) -> list[Gcell]:
 
 @given(any_problem)
 def test_tasks_are_a_tree_that_can_be_walked(problem: Problem) -> None:
-    table = steiner_tasks(problem)
+    table = steiner_tasks(*problem.flat_pin_gcells, problem.grid)
     assert table.dtype == np.int32
     assert table.shape[1:] == (3,)
     assert (np.diff(table[:, 0]) >= 0).all()

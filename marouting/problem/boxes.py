@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from marouting.memory import USED
 from marouting.problem.chip import Chip, Places
-from marouting.problem.grid import AXES, VIA_AXIS, gcells_of_boxes, neighbours
+from marouting.problem.grid import AXES, VIA_AXIS, distinct, gcells_of_boxes, is_among, neighbours
 from marouting.problem.net import FieldError
-from marouting.problem.parts import mark_joins
+from marouting.problem.parts import joined_parts, mark_joins
 from marouting.problem.problem import Problem
 from marouting.problem.segments import longest_runs
 
@@ -54,7 +54,7 @@ def edges_in_boxes(problem: Problem, boxes: Boxes) -> tuple[NDArray[np.int64], N
     _, rows, layers = problem.grid
     size = int(np.prod(problem.grid))
     keys = net[index] * size + (x * rows + y) * layers + layer[index]
-    covered = np.unique(keys)
+    covered = distinct(keys)
     inside = (x + 1 < last[0][index], y + 1 < last[1][index])  # the next Gcell is of the same box
     ends, axes, costs = [], [], []
     for axis in range(AXES):
@@ -63,16 +63,17 @@ def edges_in_boxes(problem: Problem, boxes: Boxes) -> tuple[NDArray[np.int64], N
         axes.append(np.full(len(at), axis))
         cost = np.zeros(len(at), np.int64)
         if axis != VIA_AXIS:
-            in_box = np.isin(covered[at], keys[inside[axis]])
+            in_box = is_among(covered[at], distinct(keys[inside[axis]]))
             usable = problem.capacity_of(AXES * (covered[at] % size) + axis) > 0
             cost = np.where(usable, 1 - in_box, 2)
         costs.append(cost)
     near, far = np.concatenate(ends, axis=1)
     needed = np.concatenate(costs)
     kept = needed == 0
-    part = np.arange(len(covered))
-    for level in range(3):
-        mark_joins(near, far, np.flatnonzero(needed == level), part, kept)
+    part = joined_parts(near[kept], far[kept], len(covered))
+    for level in (1, 2):
+        apart = np.flatnonzero((needed == level) & (part[near] != part[far]))
+        mark_joins(near, far, apart, part, kept)
     uses = np.sort(AXES * covered[near[kept]] + np.concatenate(axes)[kept])
     return np.divmod(uses, AXES * size)
 
@@ -107,7 +108,8 @@ def boxes_of(
     more_net, more_gcells = (pin_net[:0], pins[:0]) if more is None else more
     single_net = np.concatenate((net[~wire], net[~wire], pin_net, pin_net[below_top], more_net))
     single = np.concatenate((near[~wire], far[~wire], pins, pins[below_top] + 1, more_gcells))
-    alone = np.setdiff1d(single_net * size + single, in_wires)
+    alone = distinct(single_net * size + single)
+    alone = alone[~is_among(alone, distinct(in_wires))]
     box_net = np.concatenate((run_net, alone // size))
     corners = np.concatenate((ends, np.repeat((alone % size)[:, None], 2, axis=1)))
     x, y, z = np.unravel_index(corners, problem.grid)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from marouting.errors import InputError
 from marouting.problem.chip import Contest, Places
-from marouting.problem.grid import AXES, VIA_AXIS, neighbours
+from marouting.problem.grid import AXES, VIA_AXIS, distinct, is_among, neighbours
 from marouting.problem.parts import joined_parts
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
@@ -144,7 +144,7 @@ def uses_of(solution: Solution) -> Uses:
     wired = np.concatenate((own[wire], (own + problem.strides[axis])[wire]))
     via = own[~inside]
     wires = np.bincount(near[wire], minlength=size).reshape(problem.grid)
-    stacked = np.setdiff1d(via, wired) % size
+    stacked = via[~is_among(via, distinct(wired))] % size
     return Uses(
         wires=wires,
         half_tracks=2 * wires + _via_demand(problem, contest, stacked),
@@ -183,7 +183,7 @@ def _open_nets(
     """
     assert problem.chip is not None
     size = int(np.prod(problem.grid))
-    covered = np.unique(np.concatenate((wired, via, via + 1)))
+    covered = distinct(np.concatenate((wired, via, via + 1)))
     ends = []
     for axis in range(AXES):
         pairs = np.stack(neighbours(problem.grid, covered, axis))
@@ -198,15 +198,15 @@ def _open_nets(
     pin = np.repeat(np.arange(pins), np.diff(places.first))
     net = np.repeat(np.arange(len(problem.nets)), np.diff(places.first_pin))
     reached = net[pin] * size + places.gcell
-    at = np.minimum(np.searchsorted(covered, reached), max(0, len(covered) - 1))
-    touched = covered[at] == reached if len(covered) else np.zeros(len(at), np.bool_)
+    at = np.searchsorted(covered, reached)
+    touched = is_among(reached, covered)
     begins = np.zeros(len(covered), np.bool_)  # parts that a net's first pin lies in
     begins[part[at[touched & (places.first_pin[net[pin]] == pin)]]] = True
     joined = np.zeros(pins, np.bool_)
     joined[places.first_pin[:-1]] = True
     touched[touched] = begins[part[at[touched]]]
     joined[pin[touched]] = True
-    return np.unique(net[~joined])
+    return distinct(net[~joined])
 
 
 def _places_of(problem: Problem) -> Places:

@@ -25,7 +25,7 @@ from marouting.config import check
 from marouting.errors import InputError, nearest
 from marouting.files import stem_of
 from marouting.problem.chip import Chip
-from marouting.problem.grid import AXES, VIA_AXIS
+from marouting.problem.grid import AXES, VIA_AXIS, distinct
 from marouting.problem.net import Adjustment
 from marouting.problem.problem import Kept, Problem
 from marouting.problem.solution import Solution, evaluate
@@ -163,7 +163,7 @@ def adjusted(problem: Problem, controls: Controls) -> Problem:
         used, tracks = stays.used_edges
         inside = used % AXES != VIA_AXIS
         used, tracks = used[inside], tracks[inside]
-        both = np.union1d(edge, used)
+        both = distinct(np.concatenate((edge, used)))
         left = by_layer[both // AXES % problem.grid[2], both % AXES]
         left[np.searchsorted(both, edge)] = capacity
         left[np.searchsorted(both, used)] -= tracks
@@ -266,7 +266,7 @@ def _reduced(
         factor[_layers_of(problem, f"derate.{name}", name)] *= share
     edge = problem.adjusted[0]
     regions = [_edges_in(problem, number, area) for number, area in enumerate(controls.areas)]
-    edge = np.unique(np.concatenate((edge, *regions)))
+    edge = distinct(np.concatenate((edge, *regions)))
     own = factor[edge // AXES % layers]
     for region, area in zip(regions, controls.areas, strict=True):
         own[np.searchsorted(edge, region)] *= area.factor
@@ -302,7 +302,7 @@ def _edges_in(problem: Problem, number: int, area: Area) -> NDArray[np.int64]:
         x, y, layer = np.meshgrid(*sides, z, indexing="ij")
         gcell = np.stack((x, y, layer), axis=-1).reshape(-1, 3) @ problem.strides
         found.append(AXES * gcell + axis)
-    return np.unique(np.concatenate(found))
+    return distinct(np.concatenate(found))
 
 
 def _with_capacities(

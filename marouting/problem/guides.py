@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from marouting.memory import USED
 from marouting.problem import ispd
-from marouting.problem.grid import AXES, VIA_AXIS, gcells_of_boxes, neighbours
+from marouting.problem.grid import AXES, VIA_AXIS, distinct, gcells_of_boxes, is_among, neighbours
 from marouting.problem.parts import joined_parts
 from marouting.problem.problem import Problem
 
@@ -38,29 +38,43 @@ class GuideCheck:
     split_nets: int
 
 
-def check_guide(path: str | os.PathLike[str], problem: Problem) -> GuideCheck | None:
+Record = ispd.SolutionRecord | ispd.RoutesRecord
+"""A file of routes, as it was read."""
+
+
+def read_record(path: str | os.PathLike[str], problem: Problem) -> Record:
+    """Reads a file of routes of a problem, and of nets that it keeps, in any format.
+
+    Raises:
+        InputError: the file cannot be read or is of none of the formats.
+    """
+    problem = problem if problem.kept is None else problem.kept.whole
+    nets = ((net.name, net.id) for net in problem.nets)
+    return ispd.read_solution(path, nets, problem.chip_or_default.layers)
+
+
+def check_guide(record: Record, problem: Problem) -> GuideCheck | None:
     """Checks a guide.
 
     Pins and boxes are compared by Gcells, which is exact for boxes on the grid.
 
     Args:
-        path: the file.
+        record: what :func:`read_record` read.
         problem: what it is a guide for.
 
     Returns:
         What is wrong with it; None if the file holds routes and no boxes.
 
     Raises:
-        InputError: the file cannot be read or does not fit the problem.
+        InputError: the boxes would take too much memory.
     """
     problem = problem if problem.kept is None else problem.kept.whole
-    chip, nets = problem.chip_or_default, [(net.name, net.id) for net in problem.nets]
-    record = ispd.read_solution(path, nets, chip.layers)
+    chip = problem.chip_or_default
     if isinstance(record, ispd.SolutionRecord) or not len(record.boxes):
         return None
     net, box, layer = record.net, record.boxes[:, :4], record.boxes[:, 4]
     lines = (chip.x, chip.y)
-    on_grid = np.all([np.isin(box[:, i], lines[i % 2]) for i in range(4)], axis=0)
+    on_grid = np.all([is_among(box[:, i], lines[i % 2]) for i in range(4)], axis=0)
     first, last = [], []
     for axis, line in enumerate(lines):
         begin = np.searchsorted(line, box[:, axis], "right") - 1
@@ -70,11 +84,11 @@ def check_guide(path: str | os.PathLike[str], problem: Problem) -> GuideCheck | 
     index, x, y = gcells_of_boxes(first, last, USED, "boxes of {} Gcells")
     size = int(np.prod(problem.grid))
     gcell = np.stack((x, y, layer[index]), axis=1) @ problem.strides
-    covered = np.unique(net[index] * size + gcell)
+    covered = distinct(net[index] * size + gcell)
     near, far = np.concatenate(
         [np.stack(neighbours(problem.grid, covered, axis)) for axis in range(AXES)], axis=1
     )
-    parts = np.unique(joined_parts(near, far, len(covered)))
+    parts = distinct(joined_parts(near, far, len(covered)))
     parts_of_net = np.bincount(covered[parts] // size, minlength=len(problem.nets))
     return GuideCheck(
         boxes=len(box),
@@ -93,7 +107,7 @@ def _open_pins(problem: Problem, covered: NDArray[np.int64]) -> int:
     if problem.chip is not None and problem.chip.places is not None:
         places = problem.chip.places
         place, gcell = np.repeat(place, np.diff(places.first)), places.gcell
-    touched = np.isin(owner[place] * size + gcell, covered)
+    touched = is_among(owner[place] * size + gcell, covered)
     reached = np.zeros(len(owner), np.bool_)
     reached[place[touched]] = True
     return int(np.count_nonzero(~reached & (pins[owner] > 1)))
@@ -131,7 +145,7 @@ def patches(
     net, edge = uses
     used, tracks = demand
     crowded = used[(tracks > 0) & (tracks >= CROWDED * problem.capacity_of(used))]
-    concerned = (edge % AXES != VIA_AXIS) & np.isin(edge, crowded)
+    concerned = (edge % AXES != VIA_AXIS) & is_among(edge, crowded)
     near = edge[concerned] // AXES
     wired = problem.layer_capacity[:, :VIA_AXIS].max(axis=1) > 0
     for gcell in (near, near + problem.strides[edge[concerned] % AXES]):

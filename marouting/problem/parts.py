@@ -11,12 +11,9 @@ from marouting.kernels import compiled
 def joined_parts(
     near: NDArray[np.int64], far: NDArray[np.int64], vertices: int
 ) -> NDArray[np.int64]:
-    """(vertices,) for each vertex the lowest one in its part, given the ends of all edges.
-
-    For so many edges that this takes longer than loading the compiler, it is compiled.
-    """
+    """(vertices,) for each vertex the lowest one in its part, given the ends of all edges."""
     part = np.arange(vertices)
-    if len(near) > _MANY:
+    if len(near) > 5 * MANY:
         mark_joins(near, far, np.arange(len(near)), part, np.zeros(len(near), np.bool_))
     while True:
         apart = part[near] != part[far]
@@ -32,12 +29,18 @@ def joined_parts(
     return part
 
 
-_MANY = 1_000_000
+MANY = 200_000
+"""For so many edges, plain Python takes longer than loading the compiler; NumPy for five times."""
+
+
+def mark_joins(near: Any, far: Any, order: Any, part: Any, kept: Any) -> None:
+    """Joins vertices by edges (n,), in an order; marks in ``kept`` those that joined two parts."""
+    join = _mark_joins if len(order) > MANY else _mark_joins.py_func
+    join(near, far, order, part, kept)
 
 
 @compiled
-def mark_joins(near: Any, far: Any, order: Any, part: Any, kept: Any) -> None:
-    """Joins vertices by edges (n,), in an order; marks in ``kept`` those that joined two parts."""
+def _mark_joins(near: Any, far: Any, order: Any, part: Any, kept: Any) -> None:
     for edge in order:
         a, b = near[edge], far[edge]
         while part[a] != a:  # to the root; ways to it get shorter

@@ -189,6 +189,11 @@ class Problem:
         """(pins,) the Gcell of every pin, one net after another, with repetitions."""
         return self._pins[1]
 
+    @property
+    def net_of_pins(self) -> NDArray[np.int64]:
+        """(pins,) the net of every pin."""
+        return self._pins[0]
+
     @functools.cached_property
     def _adjusted_edges(self) -> NDArray[np.int64]:
         """(adjustments,) the edge of each adjustment; raises FieldError for an unusable one."""

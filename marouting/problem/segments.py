@@ -3,7 +3,6 @@
 Points are given as in ISPD files: x and y in chip coordinates, layer from 1.
 """
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -99,13 +98,15 @@ def longest_runs(
 
 
 def with_pins_at(problem: Problem, gcells: NDArray[np.int64]) -> Problem:
-    """The problem with its pins (pins,) in the middle of other Gcells, one net after another."""
-    pins = [Pin(*point) for point in _centres(problem, gcells).tolist()]
-    bounds = [0, *itertools.accumulate(len(net.pins) for net in problem.nets)]
-    nets = (
-        replace(net, pins=tuple(pins[start:end]))
-        for net, (start, end) in zip(problem.nets, itertools.pairwise(bounds), strict=True)
-    )
+    """The problem with pins in other Gcells (pins,), one net after another, in their middle."""
+    moved = np.flatnonzero(gcells != problem.gcell_of_pins)
+    nets, pins = list(problem.nets), problem.net_of_pins
+    first = np.searchsorted(pins, np.arange(len(nets)))
+    points = _centres(problem, gcells[moved]).tolist()
+    for net, pin, point in zip(pins[moved], moved - first[pins[moved]], points, strict=True):
+        own = list(nets[net].pins)
+        own[pin] = Pin(*point)
+        nets[net] = replace(nets[net], pins=tuple(own))
     return replace(problem, nets=tuple(nets))
 
 

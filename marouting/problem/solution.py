@@ -18,10 +18,10 @@ from marouting.kernels import compiled
 from marouting.problem import ispd
 from marouting.problem.boxes import Boxes, boxes_of, edges_in_boxes
 from marouting.problem.chip import Places
-from marouting.problem.grid import AXES, OFF_GRID, VIA_AXIS
-from marouting.problem.guides import patches
+from marouting.problem.grid import AXES, OFF_GRID, VIA_AXIS, distinct, is_among
+from marouting.problem.guides import Record, patches, read_record
 from marouting.problem.net import FieldError
-from marouting.problem.parts import joined_parts
+from marouting.problem.parts import MANY, joined_parts
 from marouting.problem.problem import Problem, check_problem
 from marouting.problem.segments import (
     covered_edges,
@@ -80,7 +80,7 @@ class Solution:
                 f"expected edges of the grid, found {edge[row]}"
             )
         size = AXES * limit.prod()
-        self._keep(problem, *np.divmod(np.unique(net * size + edge), size))
+        self._keep(problem, *np.divmod(distinct(net * size + edge), size))
 
     def _keep(self, problem: Problem, net: NDArray[np.int64], edge: NDArray[np.int64]) -> None:
         for column in (net, edge):
@@ -141,14 +141,27 @@ class Solution:
         Returns:
             Another solution of the same problem, or this one if no edge joins nothing.
         """
+        first, pins = self.problem.flat_pin_gcells
+        return self._pruned(np.repeat(np.arange(len(self.problem.nets)), np.diff(first)), pins)
+
+    def _pruned(self, pin_net: NDArray[np.int64], pins: NDArray[np.int64]) -> "Solution":
+        """:meth:`pruned` with pins in Gcells (pins,) of nets (pins,)."""
         net, edge = self.uses
-        _, vertex = _graph(self.problem, self)
+        vertex = _graph(self, pin_net, pins)
         size, kept = int(vertex.max()) + 1, np.zeros(len(edge), np.bool_)
-        ends, pins = vertex[: 2 * len(edge)].reshape(2, -1), vertex[2 * len(edge) :]
-        if _are_trees(ends, pins, size):
+        ends, at_pins = vertex[: 2 * len(edge)].reshape(2, -1), vertex[2 * len(edge) :]
+        if _are_trees(ends, at_pins, size):
             return self
-        at, back, queue = (np.empty(length, np.int64) for length in (2 * len(edge), size, size))
-        _mark_ways(ends, pins, np.zeros(size + 1, np.int64), at, back, queue, kept)
+        order = np.argsort(ends.T.reshape(-1), kind="stable")
+        first = np.searchsorted(ends.T.reshape(-1)[order], np.arange(size + 1))
+        back, queue = np.full(size, _UNKNOWN), np.empty(size, np.int64)
+        graph = (ends[0], ends[1], at_pins, first, order // 2, back, queue, kept)
+        if len(edge) > MANY:
+            _mark_ways(*graph)
+        else:
+            lists = [column.tolist() for column in graph]
+            _mark_ways.py_func(*lists)
+            kept = np.array(lists[-1])
         return Solution.of_uses(self.problem, net[kept], edge[kept])
 
     def at_reached_pins(self) -> "Solution":
@@ -165,26 +178,32 @@ class Solution:
             are moved to the first Gcell where all of them are, if there is one. This solution, if
             none moves.
         """
-        places = None if self.problem.chip is None else self.problem.chip.places
-        if places is None:
+        gcell = self._reached_gcells()
+        if gcell is self.problem.gcell_of_pins:
             return self
+        return Solution.of_uses(with_pins_at(self.problem, gcell), *self.uses)
+
+    def _reached_gcells(self) -> NDArray[np.int64]:
+        """(pins,) the Gcell of every pin of :meth:`at_reached_pins`."""
         problem, (net, edge) = self.problem, self.uses
+        places = None if problem.chip is None else problem.chip.places
+        if places is None:
+            return problem.gcell_of_pins
         size = int(np.prod(problem.grid))
         near = edge // AXES
         ends = np.concatenate((near, near + problem.strides[edge - AXES * near]))
-        reached = np.unique(np.tile(net, 2) * size + ends)
-        reached = np.union1d(reached, _shared_places(problem, places, net))
+        shared = _shared_places(problem, places, net)
+        reached = distinct(np.concatenate((np.tile(net, 2) * size + ends, shared)))
         pins = np.arange(len(places.first) - 1)
         owner = np.repeat(np.arange(len(problem.nets)), np.diff(places.first_pin))
         pin = np.repeat(pins, np.diff(places.first))
-        good = np.flatnonzero(np.isin(owner[pin] * size + places.gcell, reached))
+        good = np.flatnonzero(is_among(owner[pin] * size + places.gcell, reached))
         first = np.full(len(pins), -1)
         first[pin[good[::-1]]] = places.gcell[good[::-1]]
-        moved = (first >= 0) & ~np.isin(owner * size + problem.gcell_of_pins, reached)
-        if not moved.any():
-            return self
-        gcell = np.where(moved, first, problem.gcell_of_pins)
-        return Solution.of_uses(with_pins_at(problem, gcell), net, edge)
+        moved = (first >= 0) & ~is_among(owner * size + problem.gcell_of_pins, reached)
+        return (
+            np.where(moved, first, problem.gcell_of_pins) if moved.any() else problem.gcell_of_pins
+        )
 
     @staticmethod
     def read(path: str | os.PathLike[str], problem: Problem) -> "Solution":
@@ -208,20 +227,23 @@ class Solution:
                 problem; the message names the file, the line, and what was expected.
         """
         check_problem(problem)
+        return Solution.of_record(read_record(path, problem), problem)
+
+    @staticmethod
+    def of_record(record: Record, problem: Problem) -> "Solution":
+        """:meth:`read` for a file that :func:`marouting.problem.guides.read_record` has read."""
         if problem.kept is not None:
-            whole, free = Solution.read(path, problem.kept.whole), problem.kept.free
+            whole, free = Solution.of_record(record, problem.kept.whole), problem.kept.free
             net, edge = whole.uses
-            routed = np.isin(net, free)
+            routed = is_among(net, free)
             return Solution.of_uses(problem, np.searchsorted(free, net[routed]), edge[routed])
-        layers = problem.chip_or_default.layers
-        record = ispd.read_solution(path, ((net.name, net.id) for net in problem.nets), layers)
         try:
             if isinstance(record, ispd.SolutionRecord):
                 segment, edge = covered_edges(problem, record.points)
             elif len(record.boxes):
                 boxes = Boxes(record.net, record.boxes[:, :4], record.boxes[:, 4])
                 region = Solution.of_uses(problem, *edges_in_boxes(problem, boxes))
-                return Solution.of_uses(problem, *region.at_reached_pins().pruned().uses)
+                return region._pruned(problem.net_of_pins, region._reached_gcells())
             elif len(record.points):
                 segment, edge = _edges_of_points(problem, record)
             else:
@@ -239,7 +261,7 @@ class Solution:
                 f"{record.file}:{record.lines['segments'][at]}: "
                 f"net {problem.nets[record.net[at]].name} lists an edge twice; "
                 f"{repetitions} repeated edges in this file are counted once",
-                stacklevel=2,
+                stacklevel=3,
             )
         return Solution.of_uses(problem, *np.divmod(uses, size))
 
@@ -326,7 +348,7 @@ def _shared_places(
     pins = np.diff(places.first_pin)
     owner = np.repeat(np.arange(len(pins)), pins)
     pin = np.repeat(np.arange(len(owner)), np.diff(places.first))
-    without = ~np.isin(owner[pin], routed)
+    without = ~is_among(owner[pin], routed)
     each = np.unique(np.stack((owner[pin] * size + places.gcell, pin), axis=1)[without], axis=0)
     key, count = np.unique(each[:, 0], return_counts=True)
     shared = key[count == pins[key // size]]
@@ -379,7 +401,7 @@ def _warn_of_turned(problem: Problem, record: ispd.RoutesRecord) -> None:
             f"net {problem.nets[record.net[turned[0]]].name}: expected a segment from its lower to "
             f"its higher end; the ISPD 2024 evaluator rejects such segments, {len(turned)} in this "
             "file; marouting accepts them",
-            stacklevel=3,
+            stacklevel=4,
         )
 
 
@@ -453,14 +475,14 @@ def evaluate(problem: Problem, solution: Solution) -> Evaluation:
     _, edge = solution.uses
     pin_net, pin_part = _pin_parts(problem, solution)
     first = np.searchsorted(pin_net, np.arange(len(problem.nets)))
-    disconnected = np.unique(pin_net[pin_part != pin_part[first][pin_net]])
+    disconnected = distinct(pin_net[pin_part != pin_part[first][pin_net]])
     return Evaluation(
         overflow=int(overflow.sum()),
         max_overflow=int(overflow.max(initial=0)),
         wirelength=len(edge),
         vias=int(np.count_nonzero(edge - edge // AXES * AXES == VIA_AXIS)),
         connected=not len(disconnected),
-        joined=len(pin_net) - len(np.unique(pin_part)),
+        joined=len(pin_net) - len(distinct(pin_part)),
         tasks=len(pin_net) - len(problem.nets),
         disconnected=tuple(problem.nets[net].name for net in disconnected),
     )
@@ -482,25 +504,28 @@ def _used_edges(
 def _pin_parts(problem: Problem, solution: Solution) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """(pin Gcells,) twice: the net of each pin Gcell, and the connected part that it lies in."""
     edges = len(solution.uses[1])
-    pin_net, index = _graph(problem, solution)
+    first, pins = problem.flat_pin_gcells
+    pin_net = np.repeat(np.arange(len(problem.nets)), np.diff(first))
+    index = _graph(solution, pin_net, pins)
     part = joined_parts(index[:edges], index[edges : 2 * edges], int(index.max()) + 1)
     return pin_net, part[index[2 * edges :]]
 
 
-def _graph(problem: Problem, solution: Solution) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """One graph that holds the routes of all nets.
+def _graph(
+    solution: Solution, pin_net: NDArray[np.int64], pins: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """One graph that holds the routes of all nets, and pins in Gcells (pins,) of nets (pins,).
 
     Its vertices are pairs of a net and a Gcell where the net has a pin or an edge, numbered in this
-    order. What comes back is the net of each pin Gcell, and the vertices at the near ends of all
-    uses, then at the far ends, then of the pin Gcells.
+    order. What comes back is the vertices at the near ends of all uses, then at the far ends, then
+    of the pins.
     """
     net, edge = solution.uses
-    near, far = problem.topology.ends(edge)
-    first, pins = problem.flat_pin_gcells
-    pin_net = np.repeat(np.arange(len(problem.nets)), np.diff(first))
-    pairs = np.concatenate((net, net, pin_net)) * problem.topology.gcells
+    topology = solution.problem.topology
+    near, far = topology.ends(edge)
+    pairs = np.concatenate((net, net, pin_net)) * topology.gcells
     pairs += np.concatenate((near, far, pins))
-    return pin_net, np.unique(pairs, return_inverse=True)[1]
+    return np.unique(pairs, return_inverse=True)[1]
 
 
 def _are_trees(ends: NDArray[np.int64], pins: NDArray[np.int64], size: int) -> bool:
@@ -511,41 +536,33 @@ def _are_trees(ends: NDArray[np.int64], pins: NDArray[np.int64], size: int) -> b
     return not leaf.any() and ends.shape[1] == size - parts
 
 
+_UNKNOWN, _BEGINS = -2, -1
+
+
 @compiled
-def _mark_ways(ends: Any, pins: Any, first: Any, at: Any, back: Any, queue: Any, kept: Any) -> None:
-    """Marks the edges on the shortest ways from pins to other pins of the same connected part."""
-    uses, vertices = ends.shape[1], len(queue)
-    # at[first[v] : first[v + 1]] are the edges at vertex v.
-    for use in range(uses):
-        first[ends[0, use] + 1] += 1
-        first[ends[1, use] + 1] += 1
-    for vertex in range(vertices):
-        first[vertex + 1] += first[vertex]
-        queue[vertex] = first[vertex]
-    for use in range(uses):
-        for side in range(2):
-            vertex = ends[side, use]
-            at[queue[vertex]] = use
-            queue[vertex] += 1
-    # back[v] is the edge by which vertex v was found, on the way to where its part begins.
-    unknown, begins = -2, -1
-    back[:] = unknown
-    for index in range(len(pins)):
-        vertex = pins[index]
-        if back[vertex] == unknown:
-            back[vertex], queue[0] = begins, vertex
+def _mark_ways(
+    near: Any, far: Any, pins: Any, first: Any, at: Any, back: Any, queue: Any, kept: Any
+) -> None:
+    """Marks the edges on the shortest ways from pins to other pins of the same connected part.
+
+    ``at[first[v] : first[v + 1]]`` are the edges at vertex v, and ``back[v]`` will be the one by
+    which it was found, on the way to where its part begins.
+    """
+    for pin in pins:
+        if back[pin] == _UNKNOWN:
+            back[pin], queue[0] = _BEGINS, pin
             done, found = 0, 1
             while done < found:
                 vertex = queue[done]
                 done += 1
                 for place in range(first[vertex], first[vertex + 1]):
                     use = at[place]
-                    other = ends[0, use] + ends[1, use] - vertex
-                    if back[other] == unknown:
+                    other = near[use] + far[use] - vertex
+                    if back[other] == _UNKNOWN:
                         back[other], queue[found] = use, other
                         found += 1
-        vertex = pins[index]
-        while back[vertex] != begins and not kept[back[vertex]]:
+        vertex = pin
+        while back[vertex] != _BEGINS and not kept[back[vertex]]:
             use = back[vertex]
             kept[use] = True
-            vertex = ends[0, use] + ends[1, use] - vertex
+            vertex = near[use] + far[use] - vertex

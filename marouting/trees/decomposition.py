@@ -32,22 +32,31 @@ def two_pin_tasks(problem: Problem, decomposition: Decomposition = "mst") -> NDA
     Returns:
         (K, 3) int32: net, start Gcell and target Gcell of each task, nets in file order.
     """
+    return tasks_between(*problem.flat_pin_gcells, problem.grid, decomposition)
+
+
+def tasks_between(
+    first: NDArray[np.int64],
+    gcells: NDArray[np.int64],
+    grid: tuple[int, int, int],
+    decomposition: Decomposition,
+) -> NDArray[np.int32]:
+    """:func:`two_pin_tasks` of nets with pins in ``gcells[first[i] : first[i + 1]]``, each once."""
     if decomposition == "steiner":
-        return steiner_tasks(problem)
-    first, gcells = problem.flat_pin_gcells
+        return steiner_tasks(first, gcells, grid)
     pins = np.diff(first)
     tasks = [np.empty((0, 3), np.int32)]
     for count in np.unique(pins[pins > 1]).tolist():
         nets = np.flatnonzero(pins == count)  # those with so many pins, side by side
         own = gcells[first[nets, None] + np.arange(count)]
-        ends = _breadth_first(_parents(problem.topology.position[own]))
+        ends = _breadth_first(_parents(np.stack(np.unravel_index(own, grid), axis=2)))
         rows = np.take_along_axis(own, ends.reshape(len(nets), -1), axis=1).reshape(-1, 2)
         tasks.append(np.column_stack((np.repeat(nets, count - 1), rows)).astype(np.int32))
     found = np.concatenate(tasks)
     return found[np.argsort(found[:, 0], kind="stable")]
 
 
-def _parents(at: NDArray[np.int32]) -> NDArray[np.int64]:
+def _parents(at: NDArray[np.int64]) -> NDArray[np.int64]:
     """(K, P) of the pins ``at`` (K, P, 3) of K nets: the pin by which Prim's tree reaches each.
 
     Among pairs of pins at equal distance, the first in the order (0, 1), (0, 2), …, (1, 2), … goes

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from marouting.kernels import compiled
 from marouting.problem.grid import AXES
-from marouting.problem.problem import Problem
 from marouting.trees.exact_tree import Search, make_search
 from marouting.trees.hanan import Web, exact_points, iterated_points, make_web, set_hanan_grid
 from marouting.trees.lattice import Lattice, make_lattice
@@ -28,7 +27,6 @@ EXACT_PINS = 9
 @compiled
 def _cut(
     first: Any,
-    gcells: Any,
     position: Any,
     grid: Any,
     lattice: Lattice,
@@ -44,7 +42,7 @@ def _cut(
             continue
         for pin in range(pins):
             for axis in range(AXES):
-                web.point[pin, axis] = position[gcells[first[net] + pin], axis]
+                web.point[pin, axis] = position[first[net] + pin, axis]
         set_hanan_grid(lattice, web, pins)
         if pins <= EXACT_PINS:
             points = exact_points(lattice, s, web, pins)
@@ -62,7 +60,9 @@ def _cut(
     return row
 
 
-def steiner_tasks(problem: Problem) -> NDArray[np.int32]:
+def steiner_tasks(
+    first: NDArray[np.int64], gcells: NDArray[np.int64], grid: tuple[int, int, int]
+) -> NDArray[np.int32]:
     """Cuts every net into two-pin tasks between its pins and Steiner points.
 
     Every task starts at a Gcell that an earlier task of the net has reached, or at its first pin.
@@ -70,12 +70,16 @@ def steiner_tasks(problem: Problem) -> NDArray[np.int32]:
     pins the time grows as n·h, where h is the number of points of its Hanan grid: at most n² per
     layer, and no more than there are Gcells in the box around the net.
 
+    Args:
+        first: (nets + 1,) the pins of net i are ``gcells[first[i] : first[i + 1]]``.
+        gcells: (pins,) their Gcells, each once in a net.
+        grid: the grid's columns, rows and layers.
+
     Returns:
         (K, 3) int32: net, start Gcell and target Gcell of each task, nets in file order.
     """
-    first, gcells = problem.flat_pin_gcells
     pins = np.diff(first)
-    hanan = np.minimum(pins[:, None], problem.grid).prod(axis=1)
+    hanan = np.minimum(pins[:, None], grid).prod(axis=1)
     small = hanan * (pins <= EXACT_PINS)
     most = int(pins.max())
     lattice = make_lattice(int(hanan.max()), most)
@@ -83,6 +87,6 @@ def steiner_tasks(problem: Problem) -> NDArray[np.int32]:
     search = make_search(int(hanan.max()), labels, EXACT_PINS - 1)
     web = make_web(most)
     tasks = np.empty((2 * int(pins.sum()), 3), np.int32)
-    grid = np.array(problem.grid, np.int64)
-    rows = _cut(first, gcells, problem.topology.position, grid, lattice, search, web, tasks)
+    position = np.stack(np.unravel_index(gcells, grid), axis=1)
+    rows = _cut(first, position, np.array(grid, np.int64), lattice, search, web, tasks)
     return tasks[:rows].copy()

@@ -30,7 +30,7 @@ from marouting.config import override, read_yaml
 from marouting.files import check_writable, exists, naming, suffix_of
 from marouting.generator import GeneratorOptions
 from marouting.problem.contest import contest_cost, with_pins_covered
-from marouting.problem.guides import check_guide
+from marouting.problem.guides import check_guide, read_record
 from marouting.problem.ispd import FORMATS, Format
 from marouting.problem.solution import ROUTE_FORMATS, RouteFormat
 from marouting.registry import importing_from, names
@@ -364,7 +364,8 @@ def evaluate_command(
     each net's detour over the shortest tree, a histogram of edge use, and the open nets.
     """
     loaded = problem.read()
-    routes = Solution.read(solution, loaded).at_reached_pins()
+    record = read_record(solution, loaded)
+    routes = Solution.of_record(record, loaded).at_reached_pins()
     if picture is not None:
         from policies import figures
 
@@ -380,7 +381,7 @@ def evaluate_command(
     started = time.perf_counter()
     evaluate(routes.problem, routes)
     seconds = time.perf_counter() - started
-    checked = check_guide(solution, loaded) if suffix_of(solution) == ".guide" else None
+    checked = check_guide(record, loaded) if suffix_of(solution) == ".guide" else None
     of_guide = {} if checked is None else {f"guide_{k}": v for k, v in asdict(checked).items()}
     _report(None, routes, seconds, as_json, of_guide)
 

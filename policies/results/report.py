@@ -1,15 +1,14 @@
 """What a solution does with a chip: wire and vias by layer, hot spots, detours, use of edges."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from marouting import Problem, Solution, evaluate
-from marouting.problem.grid import AXES, VIA_AXIS
-from marouting.trees.decomposition import two_pin_tasks
+from marouting.problem.grid import AXES, VIA_AXIS, distinct
+from marouting.trees.decomposition import Decomposition, tasks_between
 from marouting.trees.steiner import EXACT_PINS
 from policies.results.utilisation import edge_groups, histogram_counts
 
@@ -155,48 +154,37 @@ def steiner_bounds(problem: Problem) -> tuple[NDArray[np.int64], NDArray[np.bool
     of half the perimeter of the box around them and of two thirds of their minimum
     spanning tree (Hwang 1976), rounded up.
     """
-    columns, rows, _ = problem.grid
-    flat = replace(
-        problem,
-        grid=(columns, rows, 1),
-        vertical_capacity=(0,),
-        horizontal_capacity=(0,),
-        nets=tuple(
-            replace(net, pins=tuple(pin._replace(layer=1) for pin in net.pins))
-            for net in problem.nets
-        ),
-        min_width=(0,),
-        min_spacing=(0,),
-        via_spacing=(0,),
-        adjustments=(),
-        chip=None,
-    )
-    pins = np.diff(flat.flat_pin_gcells[0])
-    low, high = flat.pin_boxes()
-    half = (high - low).sum(axis=1)
-    few = pins <= EXACT_PINS
-    exact = _tree_lengths(_of_nets(flat, few), "steiner")
-    spanning = _tree_lengths(_of_nets(flat, ~few), "mst")
-    bound = np.zeros(len(pins), np.int64)
-    bound[few] = exact
+    grid = (*problem.grid[:2], 1)
+    columns = int(np.prod(grid))
+    key = distinct(problem.net_of_pins * columns + problem.gcell_of_pins // problem.grid[2])
+    first = np.searchsorted(key, columns * np.arange(len(problem.nets) + 1))
+    few = np.diff(first) <= EXACT_PINS
+    bound = np.empty(len(few), np.int64)
+    bound[few] = _tree_lengths(key % columns, first, few, grid, "steiner")
+    spanning = _tree_lengths(key % columns, first, ~few, grid, "mst")
+    low, high = problem.pin_boxes()
+    half = (high - low)[:, :2].sum(axis=1)
     bound[~few] = np.maximum(half[~few], -(-2 * spanning // 3))
     return bound, few
 
 
-def _of_nets(problem: Problem, kept: NDArray[np.bool_]) -> Problem | None:
-    """The problem with only some of its nets; None for none."""
-    nets = tuple(net for net, keep in zip(problem.nets, kept, strict=True) if keep)
-    return replace(problem, nets=nets) if nets else None
-
-
-def _tree_lengths(problem: Problem | None, kind: Any) -> NDArray[np.int64]:
-    """(nets,) the length of each net's tree in a problem of one layer."""
-    if problem is None:
+def _tree_lengths(
+    gcells: NDArray[np.int64],
+    first: NDArray[np.int64],
+    nets: NDArray[np.bool_],
+    grid: tuple[int, int, int],
+    kind: Decomposition,
+) -> NDArray[np.int64]:
+    """The lengths of trees in one layer, of some of the nets with pins in ``gcells``."""
+    pins = np.diff(first)
+    if not nets.any():
         return np.empty(0, np.int64)
-    net, start, end = two_pin_tasks(problem, kind).astype(np.int64).T
-    rows = problem.grid[1]
+    bounds = np.concatenate(([0], np.cumsum(pins[nets])))
+    tasks = tasks_between(bounds, gcells[np.repeat(nets, pins)], grid, kind)
+    net, start, end = tasks.astype(np.int64).T
+    rows = grid[1]
     length = np.abs(start // rows - end // rows) + np.abs(start % rows - end % rows)
-    return np.bincount(net, length, len(problem.nets)).astype(np.int64)
+    return np.bincount(net, length, len(bounds) - 1).astype(np.int64)
 
 
 def _histogram(problem: Problem, solution: Solution) -> list[dict[str, Any]]:

@@ -29,21 +29,25 @@ class Lines:
         self._errors = errors
         self._readline = file.readline
 
-    def next(self) -> list[str]:
-        """The tokens of the next line that has any; none at the end of the file."""
+    def text(self) -> str:
+        """The tokens of the next line that has any, parted by blanks; "" at the end of the file."""
         # A file without line breaks must not be taken into memory as one line.
         while line := self._readline(files.LONGEST_LINE + 1):
             self.number += 1
             if len(line) > files.LONGEST_LINE:
                 raise InputError(f"expected lines of at most {files.LONGEST_LINE} bytes")
-            try:
-                # Of bytes, so that only ASCII blanks part them, as in the contests' own programs.
-                tokens = b"\n".join(line.split()).decode(errors=self._errors).split("\n")
-            except UnicodeDecodeError:
-                raise InputError("expected UTF-8 text") from None
-            if tokens[0]:
-                return tokens
-        return []
+            # Of bytes, so that only ASCII blanks part them, as in the contests' own programs.
+            if tokens := b" ".join(line.split()):
+                try:
+                    return tokens.decode(errors=self._errors)
+                except UnicodeDecodeError:
+                    raise InputError("expected UTF-8 text") from None
+        return ""
+
+    def next(self) -> list[str]:
+        """The tokens of the next line that has any; none at the end of the file."""
+        text = self.text()
+        return text.split(" ") if text else []
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,9 @@ of layers. Its first form was that of guides, with columns and rows in place of 
 """
 
 import os
+import re
 from array import array
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -26,7 +27,7 @@ from numpy.typing import NDArray
 
 from marouting.errors import InputError, nearest
 from marouting.files import write_text
-from marouting.problem.ispd.lines import Lines, Record, is_number, unexpected
+from marouting.problem.ispd.lines import NUMBER, Lines, Record, unexpected
 
 
 @dataclass(frozen=True)
@@ -54,14 +55,15 @@ def read_routes(
         index = known.pop(name)
         if (tokens := lines.next()) != ["("]:
             raise unexpected(f"'(' after the name of net {name}", tokens)
-        while (tokens := lines.next()) != [")"]:
-            if not tokens:
+        while (text := lines.text()) != ")":
+            if not text:
                 raise InputError(f"file ends inside net {name}, expected ')'")
-            form = form or next((form for form in _FORMS if form.fits(tokens)), None)
+            form = form or next((form for form in _FORMS if form.fits(text)), None)
             if form is None:
-                raise unexpected(f"{', '.join(map(str, _FORMS))} or ')'", tokens)
-            if not form.fits(tokens):
-                raise unexpected(f"{form} or ')'", tokens)
+                raise unexpected(f"{', '.join(map(str, _FORMS))} or ')'", text.split(" "))
+            if (match := form.fits(text)) is None:
+                raise unexpected(f"{form} or ')'", text.split(" "))
+            tokens = list(match.groups())
             for place in form.names:
                 if (layer := tokens[place]) not in level:
                     raise InputError(
@@ -88,25 +90,28 @@ def read_routes(
 
 
 class _Form(NamedTuple):
-    """What lines between parentheses hold: which tokens are numbers, and which names."""
+    """What lines between parentheses hold."""
 
     what: str
-    numbers: tuple[int, ...]
-    names: tuple[int, ...] = ()
+    fits: Callable[[str], re.Match[str] | None]
+    names: tuple[int, ...] = ()  # which tokens are names of layers; all others are numbers
 
     def __str__(self) -> str:
         return self.what
 
-    def fits(self, tokens: list[str]) -> bool:
-        """Whether a line is of this form."""
-        return len(tokens) == len(self.numbers) + len(self.names) and all(
-            map(is_number, [tokens[place] for place in self.numbers])
-        )
+
+def _line(*tokens: str) -> Callable[[str], re.Match[str] | None]:
+    return re.compile(" ".join(f"({token})" for token in tokens)).fullmatch
 
 
-_BOX = _Form("a box 'x y x y layer'", (0, 1, 2, 3), (4,))
-_NUMBERED = _Form("a segment 'x y layer x y layer'", (0, 1, 2, 3, 4, 5))
-_NAMED = _Form("a segment 'x y layer x y layer' with names of layers", (0, 1, 3, 4), (2, 5))
+_N, _NAME = NUMBER, "[^ ]+"
+_BOX = _Form("a box 'x y x y layer'", _line(_N, _N, _N, _N, _NAME), (4,))
+_NUMBERED = _Form("a segment 'x y layer x y layer'", _line(_N, _N, _N, _N, _N, _N))
+_NAMED = _Form(
+    "a segment 'x y layer x y layer' with names of layers",
+    _line(_N, _N, _NAME, _N, _N, _NAME),
+    (2, 5),
+)
 _FORMS = (_BOX, _NUMBERED, _NAMED)
 """The forms; a line is of the first that it fits, since a layer may be called by a number."""
 

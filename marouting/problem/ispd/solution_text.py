@@ -63,12 +63,12 @@ def read_solution(
             if found != ids[index]:
                 other_ids.add(at, f"net {name}: expected id {ids[index]}, found {found}")
             before = len(net)
-            while (tokens := lines.next()) != ["!"]:
-                if not tokens:
+            while (text := lines.text()) != "!":
+                if not text:
                     raise InputError(f"file ends inside net {name}, expected '!'")
-                match = _segment(" ".join(tokens))
+                match = _segment(text)
                 if match is None:
-                    raise unexpected("a segment '(x,y,layer)-(x,y,layer)' or '!'", tokens)
+                    raise unexpected("a segment '(x,y,layer)-(x,y,layer)' or '!'", text.split(" "))
                 net.append(index)
                 numbers.append(lines.number)
                 points.extend(map(int, match.groups()))
@@ -102,7 +102,7 @@ class _Differences:
         """Warns of all of them, if there are any: of the first one, and how many there are."""
         if self._count:
             more = f" ({self._count} such nets in this file)" if self._count > 1 else ""
-            warnings.warn(f"{self._first}{more}: {outcome}", stacklevel=4)
+            warnings.warn(f"{self._first}{more}: {outcome}", stacklevel=5)
 
 
 def write_solution(

@@ -143,7 +143,7 @@ def read_def(path: str | os.PathLike[str], library: Library, copy: Copy) -> Desi
                 rest = words.rest()
                 _read_statement(word, rest, line, design, library)
                 if word in _COPIED:
-                    copy.write(line, [word, *rest, ";"])
+                    copy.write(line, " ".join([word, *rest, ";"]))
         if words.keyword() != "DESIGN":
             raise unexpected("'END DESIGN'", ["END"])
         if words.peek():
@@ -152,12 +152,12 @@ def read_def(path: str | os.PathLike[str], library: Library, copy: Copy) -> Desi
             )
         if design.pin_vias:
             layer = next(iter(library.routing))
-            copy.write(words.line, ["SPECIALNETS", str(len(design.pin_vias)), ";"])
+            copy.write(words.line, f"SPECIALNETS {len(design.pin_vias)} ;")
             for number, (_, via, turn, x, y) in enumerate(design.pin_vias):
                 place = f"+ ROUTED {layer} 0 ( {x} {y} ) {via} {list(TURNS)[turn]} ;"
-                copy.write(words.line, ["-", f"via_of_pin_{number}", place])
-            copy.write(words.line, ["END SPECIALNETS"])
-        copy.write(words.line, ["END DESIGN"])
+                copy.write(words.line, f"- via_of_pin_{number} {place}")
+            copy.write(words.line, "END SPECIALNETS")
+        copy.write(words.line, "END DESIGN")
         if not design.units:
             raise InputError("expected UNITS DISTANCE MICRONS before the end")
         if not design.die:
@@ -216,7 +216,7 @@ def _read_section(
     known: set[str] = set()
     copied = section in ("VIAS", "STYLES", "COMPONENTS", "PINS", "BLOCKAGES", "SPECIALNETS")
     if copied:
-        copy.write(begun, [section, str(count), ";"])
+        copy.write(begun, f"{section} {count} ;")
     while (word := words.word()).upper() != "END":
         if word != "-":
             if not word:
@@ -251,11 +251,11 @@ def _read_section(
             known.add(rest[0])
             _net(rest, line, design, library)
         if copied and rest:
-            copy.write(line, ["-", *rest, ";"])
+            copy.write(line, f"- {' '.join(rest)} ;")
     if (end := words.word()).upper() != section:
         raise unexpected(f"'END {section}'", ["END", end])
     if copied:
-        copy.write(words.line, ["END", section])
+        copy.write(words.line, f"END {section}")
     if found != count:
         warnings.warn(
             f"{design.file}:{words.line}: {section}: expected {count}, as line {begun} says, "

@@ -3,7 +3,7 @@
 import contextlib
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import TextIO
 
 from marouting.errors import InputError
@@ -19,10 +19,10 @@ class Copy:
         self._file = file
         self._line = 1
 
-    def write(self, line: int, words: Sequence[str]) -> None:
+    def write(self, line: int, text: str) -> None:
         """Writes words in a line, or after what was written last if that stands further down."""
         try:
-            self._file.write("\n" * (line - self._line) + " ".join(words) + " ")
+            self._file.write("\n" * (line - self._line) + text + " ")
         except UnicodeEncodeError:
             raise InputError("expected UTF-8 text outside of comments") from None
         self._line = max(line, self._line)
@@ -61,7 +61,9 @@ class Statements:
 
     def keyword(self) -> str:
         """The next word in capitals: keywords may be in any case."""
-        return self.word().upper()
+        word = self.peek()
+        self._at += 1
+        return word.upper()
 
     def peek(self) -> str:
         """The next word, which stays the next one."""
@@ -108,37 +110,39 @@ class Statements:
     def _fill(self) -> None:
         """Takes the words of the next line that has any; none at the end of the file."""
         self._words, self._at = [], 0
-        while tokens := self._lines.next():
+        while not self._words and (text := self._lines.text()):
             begun = self.line
-            words: list[str] = []
-            at = 0
-            tokens[0] = tokens[0].removeprefix(_BOM)  # of a file that was joined to others
-            if tokens[0] and not _unusual(" ".join(tokens)):
-                words, at = tokens, len(tokens)
-            while at < len(tokens):
-                token = tokens[at]
-                at += 1
-                if not token:
-                    continue
-                if token[0] == "#":
+            text = text.removeprefix(_BOM).lstrip(" ")  # of a file that was joined to others
+            if _unusual(text):
+                self._words = self._parted(text.split(" "))
+                text = " ".join(self._words)
+            elif text:
+                self._words = text.split(" ")
+            if self._words and self._copy is not None:
+                self._copy.write(begun, text)
+
+    def _parted(self, tokens: list[str]) -> list[str]:
+        """The words of a line with a comment, quotes, or words that no blanks part."""
+        words: list[str] = []
+        at = 0
+        while at < len(tokens):
+            token = tokens[at]
+            at += 1
+            if token[0] == "#":
+                break
+            if token[0] == '"':
+                text, tokens = self._quoted(tokens[at - 1 :])
+                at = 0
+                words.append(text)
+            elif len(token) > 1 and (";" in token or "(" in token or ")" in token):
+                parts = _parts(token)
+                glued = next((i for i, part in enumerate(parts) if part[0] == "#"), None)
+                words += parts[:glued]
+                if glued is not None:
                     break
-                if token[0] == '"':
-                    text, tokens = self._quoted(tokens[at - 1 :])
-                    at = 0
-                    words.append(text)
-                elif len(token) > 1 and (";" in token or "(" in token or ")" in token):
-                    parts = _parts(token)
-                    glued = next((i for i, part in enumerate(parts) if part[0] == "#"), None)
-                    words += parts[:glued]
-                    if glued is not None:
-                        break
-                else:
-                    words.append(token)
-            if words:
-                if self._copy is not None:
-                    self._copy.write(begun, words)
-                self._words = words
-                return
+            else:
+                words.append(token)
+        return words
 
     def _quoted(self, tokens: list[str]) -> tuple[str, list[str]]:
         """A text in quotes, with blanks for line ends, and the tokens after it in its line."""
@@ -157,8 +161,10 @@ class Statements:
         raise InputError(f"file ends inside a text in quotes, which begins in line {begun}")
 
 
-_unusual = re.compile('[;()][^ ]|[^ ][;()]|(?:^| )["#]').search
-"""Whether a line has a comment, a quote, or a word with a semicolon or a parenthesis."""
+_unusual = re.compile('[;()"#](?:(?<=[^ ][;()])|(?<=[;()])(?=[^ ])|(?<=^["#])|(?<= ["#]))').search
+"""Whether a line has a comment, a quote, or a word with a semicolon or a parenthesis.
+
+Regular expressions that begin with a set of characters are the fastest."""
 
 _BOM = "\ufeff"
 _MOST_WORDS = 2**22
