@@ -1,40 +1,28 @@
-"""Writes docs/environment.md from the docstring of marouting/global_routing_v0.py.
+"""Writes the table of arguments in docs/environment.md; run: python .site/environment.py.
 
-    python .site/environment.py
-
-The docstring is the page, as PettingZoo does it. The table of arguments, at the line
-``## Arguments``, is made of the docstrings and defaults of the options.
+It is made of the docstrings and defaults of the options.
 """
 
-import inspect
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 
 from docstrings import ROOT, markdown
 
-from marouting import global_routing_v0
 from marouting.config import attributes
 from marouting.options import GameOptions
 from marouting.rules import Mask, Nets, RipUp, Rules
 
 PAGE = ROOT / "docs" / "environment.md"
-NOTE = (
-    "<!-- Written by `python .site/environment.py` from the docstring of "
-    "marouting/global_routing_v0.py: change it there. -->\n"
-)
+HEAD = "| argument | default | |\n|---|---|---|\n"
 
 
 def page() -> str:
-    """The text of docs/environment.md."""
-    text = inspect.getdoc(global_routing_v0)
-    assert text is not None
-    title, text = text.split("\n", 1)
-    before, heading, after = text.partition("\n## Arguments\n")
-    assert heading, "the docstring has no ## Arguments"
-    text, rows = after.split("\n## ", 1)
-    table = "\n".join(["| argument | default | |", "|---|---|---|", *_arguments()])
-    whole = f"{title.rstrip('.')}\n{before}{heading}{text.rstrip()}\n\n{table}\n\n## {rows}"
-    return NOTE + markdown(whole, links=False).rstrip() + "\n"
+    """The text of docs/environment.md with the table as it is to be."""
+    before, head, rest = PAGE.read_text(encoding="utf-8").partition(HEAD)
+    assert head, f"{PAGE.name} has no table of arguments"
+    _, end, after = rest.partition("\n\n")
+    table = markdown("\n".join(_arguments()), links=False).strip()
+    return f"{before}{head}{table}{end}{after}"
 
 
 def _arguments() -> Iterator[str]:

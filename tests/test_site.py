@@ -45,7 +45,7 @@ def environment(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return importlib.import_module("environment")
 
 
-def test_the_environment_page_is_the_docstring(environment: ModuleType) -> None:
+def test_the_environment_page_has_every_option(environment: ModuleType) -> None:
     page = environment.PAGE.read_text(encoding="utf-8")
     assert page == environment.page(), "run: python .site/environment.py"
     described = re.findall(r"^\| `(\w+)` \| `.*?` \| .", page, re.MULTILINE)

@@ -6,13 +6,13 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils import EzPickle
 from pettingzoo import AECEnv
 
-from marouting.env.base import METADATA, BaseGame, NetMethods, checked_move
+from marouting.env.base import METADATA, NetEnv, checked_move
 from marouting.game import ACTIVE, NOBODY, Status
 from marouting.options import ORDERS
 from marouting.source import Source
 
 
-class GlobalRoutingAEC(NetMethods, AECEnv):
+class GlobalRoutingAEC(NetEnv, AECEnv):
     """Global routing in which every net is an agent, one move at a time.
 
     An agent's observation and mask are those of the moment when it is selected. Its reward is what
@@ -36,7 +36,7 @@ class GlobalRoutingAEC(NetMethods, AECEnv):
     def __init__(self, problem: Source = None, **options: Any) -> None:
         EzPickle.__init__(self, problem, **options)
         AECEnv.__init__(self)
-        self._open(BaseGame(problem, ORDERS["multi"], options, self.game_class))
+        self._open(problem, ORDERS["multi"], options)
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
         """Starts an episode.
@@ -46,28 +46,26 @@ class GlobalRoutingAEC(NetMethods, AECEnv):
             options: ignored; PettingZoo's interface has them.
         """
         del options
-        base = self._game
-        base.restart(seed)
-        self._number = dict.fromkeys(self.possible_agents, NOBODY) | base.numbers
-        self.agents = list(self.possible_agents if base.persists else base.names)
+        self._restart(seed)
+        self._number = dict.fromkeys(self.possible_agents, NOBODY) | self._agent_of
+        self.agents = list(self.possible_agents if self._persists else self._names)
         self.rewards = dict.fromkeys(self.agents, 0.0)
         self._cumulative_rewards = dict.fromkeys(self.agents, 0.0)
         self.terminations = dict.fromkeys(self.agents, False)
         self.truncations = dict.fromkeys(self.agents, False)
         self._ended: dict[str, dict[str, Any]] = {}  # by the last move of each agent
         # Nothing but masks: libraries take these for the keys of all infos.
-        masks = base.masks([self._number[agent] for agent in self.agents])
+        masks = self._mask_all([self._number[agent] for agent in self.agents])
         self.infos = {
-            agent: base.info(mask, over=False)
-            for agent, mask in zip(self.agents, masks, strict=True)
+            agent: {self._mask_key: mask} for agent, mask in zip(self.agents, masks, strict=True)
         }
         self._skip_agent_selection: str | None = None
         self._mover = self.agents[0]
-        self.agent_selection = base.names[base.game.turn]
+        self.agent_selection = self._names[self.game.turn]
 
     def observe(self, agent: str) -> Any:
         """The agent's observation at this moment."""
-        return self._game.observation(self._number[agent])
+        return self._shown(self._number[agent])
 
     def step(self, action: int | None) -> None:
         """Moves the selected agent.
@@ -82,70 +80,70 @@ class GlobalRoutingAEC(NetMethods, AECEnv):
         """
         if not self.agents:
             raise ResetNeeded("step: expected a call of reset() before it")
-        base, agent = self._game, self.agent_selection
+        agent = self.agent_selection
         if self.terminations[agent] or self.truncations[agent]:
             self._was_dead_step(action)
             agent = self.agent_selection
-            if not base.persists and agent in self.infos:
+            if not self._persists and agent in self.infos:
                 # Others may have taken capacity since this info was made.
                 told = self._ended.get(agent, {})
-                self.infos[agent] = base.info(base.mask(self._number[agent]), over=False) | told
+                self.infos[agent] = {self._mask_key: self._mask(self._number[agent])} | told
             return
-        game, n = base.game, self._number[agent]
-        paid = base.move(n, checked_move(action, base.actions))
+        game, n = self.game, self._number[agent]
+        paid = self._move(n, checked_move(action, self._actions))
         if game.ending[n]:
-            self._ended[agent] = base.task_end(n)
+            self._ended[agent] = self._task_end(n)
             game.settle(n)
         elif agent in self._ended:
             del self._ended[agent]
         game.pass_turn(n)
         self._pay(agent, paid)
         following, status = game.turn, game.status[n]
-        persists = base.persists
+        persists = self._persists
         if persists and game.moves == 1:
             for name in self.agents:
-                self.infos[name]["active"] = base.active(self._number[name])
+                self.infos[name]["active"] = self._is_active(self._number[name])
         if persists and status != ACTIVE:
             self.infos[agent] = self._info(agent, n)
         if persists and following == NOBODY:
             self._end_together()
         elif persists or status == ACTIVE:
-            agent = self.agent_selection = base.names[following]
+            agent = self.agent_selection = self._names[following]
             self.infos[agent] = self._info(agent, following)
         else:
             self.terminations[agent] = status == Status.TERMINATED
             self.truncations[agent] = status == Status.TRUNCATED
-            told = base.info(base.mask(n), over=following == NOBODY)
-            self.infos[agent] = told | self._ended.get(agent, {})
+            told = self._result() if following == NOBODY else {}
+            told |= self._ended.get(agent, {})
+            self.infos[agent] = {self._mask_key: self._mask(n)} | told
             # The agent is selected once more, to be removed from the list, before the next one is.
-            self._skip_agent_selection = None if following == NOBODY else base.names[following]
+            self._skip_agent_selection = None if following == NOBODY else self._names[following]
         if self.render_mode == "human":
             self.render()
 
     def _info(self, agent: str, n: int) -> dict[str, Any]:
         """The info of agent n during its episode."""
-        base = self._game
-        info: dict[str, Any] = {base.mask_key: base.mask(n)}
-        if base.persists:
-            info["active"] = base.active(n)
+        info: dict[str, Any] = {self._mask_key: self._mask(n)}
+        if self._persists:
+            info["active"] = self._is_active(n)
         if agent in self._ended:
             info |= self._ended[agent]
         return info
 
     def _end_together(self) -> None:
         """Ends the episodes of all agents: those that failed a task are truncated."""
-        status = self._game.game.status
+        status = self.game.status
         for agent in self.agents:
             n = self._number[agent]
             failed = n != NOBODY and status[n] == Status.TRUNCATED
             self.truncations[agent], self.terminations[agent] = failed, not failed
-            self.infos[agent] |= self._game.result()
+            self.infos[agent] |= self._result()
         self.agent_selection = self.agents[0]
 
     def _pay(self, mover: str, paid: Any) -> None:
         """Sets the rewards of a move, and adds them to what each agent got since its last move."""
         self._cumulative_rewards[mover] = 0.0
-        if self._game.pays_mover:
+        if self._pays_mover:
             if self._mover in self.rewards:
                 self.rewards[self._mover] = 0.0
             self.rewards[mover] = self._cumulative_rewards[mover] = paid

@@ -1,4 +1,4 @@
-"""What the interfaces of the environment have in common: a plain game made from options."""
+"""What the environments have in common: a plain game with its observation, reward and masks."""
 
 import copy
 import operator
@@ -7,7 +7,7 @@ from dataclasses import fields
 from typing import Any, ClassVar
 
 import numpy as np
-from gymnasium import Space
+from gymnasium import Space, logger
 from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Box, Dict, Discrete
 from gymnasium.utils import EzPickle, seeding
@@ -19,7 +19,6 @@ from marouting.memory import PLAYED, STATE, TABLES, check_memory
 from marouting.observations import has_form, state_of, state_space_of
 from marouting.options import game_options
 from marouting.problem.grid import Grid
-from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
 from marouting.render import Window, ansi, rgb_array, scene_of
 from marouting.rewards import paid_by
@@ -33,201 +32,190 @@ METADATA: dict[str, Any] = {
 }
 
 
-class BaseGame:
-    """A game of one problem with its observation, reward, masks, state and pictures.
+class GameEnv(EzPickle):
+    """A game of one problem with its pieces: what every environment has beyond its interface.
 
-    Args:
-        problem: what to play, see :class:`marouting.source.ProblemStream`.
-        turn_order: the turn order if the options give none.
-        options: the fields of :class:`marouting.options.GameOptions`.
-        kind: the class of the game, if its rules are others.
+    A copy by :mod:`copy` or :mod:`pickle` goes on where the environment stands. Pieces of your own
+    that keep a state are only copied with it if they were given as objects.
 
     Attributes:
-        columns: the game as observations and rewards see it.
-        many: whether there are several problems.
-        numbers: the game's agents by their names.
-        everyone: the names of all nets that are agents in any episode.
-        box: the space of one agent's observation, without its mask.
-        masked: whether observations hold the mask.
-        persists: whether agents that are done stay until all are done.
-        pays_mover: whether a move pays only the agent that makes it.
-        no_op: (A,) the mask of an agent that is done and stays.
-        rng: what draws the problem of an episode, if there are several.
+        game_class: the rules; a subclass of the environment may name its own
+            :class:`marouting.game.Game`.
+        game: the game, to be read.
+        problem_name: the name of the problem that is played, of its file or in its set or scenario.
     """
 
-    metadata = METADATA
+    game_class: ClassVar[type[Game]] = Game
+    _episode: ClassVar[tuple[str, ...]]
+    """The attributes of an interface that change during an episode."""
 
-    def __init__(
-        self,
-        problem: Source,
-        turn_order: TurnOrder,
-        options: Mapping[str, Any],
-        kind: type[Game] = Game,
-    ) -> None:
+    def _open(self, problem: Source, turn_order: TurnOrder, options: Mapping[str, Any]) -> None:
+        """Makes the game; the turn order is this one if the options give none."""
         checked = game_options(options)
         rules = {field.name: getattr(checked, field.name) for field in fields(Rules)}
         self._rules = Rules(**{**rules, "turn_order": checked.turn_order or turn_order})
-        self._kind = kind
         self._observation = checked.observation.make()
         self._sees_plainly = has_form(self._observation, "see", "write")
-        self.reward: Any = checked.reward.make()
-        self.pays_mover = has_form(self.reward, "pay", "__call__")
+        self._reward: Any = checked.reward.make()
+        self._pays_mover = has_form(self._reward, "pay", "__call__")
         self.render_mode = checked.render_mode
-        self.masked = checked.mask.in_observation
-        self.mask_key, self._observation_key = checked.mask.mask_key, checked.mask.observation_key
-        self.persists = checked.persists
-        self.actions = checked.actions
-        self.no_op = np.eye(1, self.actions, dtype=np.int8)[0]
+        self._masked = checked.mask.in_observation
+        self._mask_key, self._observation_key = checked.mask.mask_key, checked.mask.observation_key
+        self._persists = checked.persists
+        self._actions = checked.actions
+        self._no_op = np.eye(1, self._actions, dtype=np.int8)[0]  # of agents that are done and stay
         self._table = mask_table(checked.moves, checked.messages)
         self._masks = list(self._table)  # a list's rows are found faster
-        self.begun = False
+        self._begun = False
         self._window = Window()
-        self.rng, _ = seeding.np_random(0)
+        self._rng, _ = seeding.np_random(0)  # draws the problems of episodes
 
         self._episodes = ProblemStream(problem, checked.scenario, checked.split)
-        self.many = self._episodes.many
         problems = self._episodes.bounds
         grid = Grid.of(problems[0].grid)
         check_memory(
             grid.gcells * (TABLES + PLAYED + STATE), "an environment on a grid of {}", grid
         )
-        self.everyone = [f"net_{net}" for net in self._episodes.nets]
+        self._everyone = [f"net_{net}" for net in self._episodes.nets]
         name, first = next(iter(self._episodes.problems.items()))
-        self._play(name, kind(first, self._rules))
+        self._play(name, self.game_class(first, self._rules))
         overflow = self.game.overflow_allowed
-        self.box: Box = self._observation.space(problems, overflow)
+        self._box: Box = self._observation.space(problems, overflow)
         self.state_space: Box = state_space_of(self._observation, problems, overflow)
 
     def _play(self, name: str, game: Game) -> None:
         """Takes up the game of a problem."""
-        self.name, self.game, self.columns = name, game, Columns(game)
-        self.names = [f"net_{net}" for net in game.nets]
-        self.numbers = {agent: n for n, agent in enumerate(self.names)}
-        self._figures = self.columns.figures()
+        self.problem_name, self.game, self._columns = name, game, Columns(game)
+        self._names = [f"net_{net}" for net in game.nets]
+        self._agent_of = {agent: n for n, agent in enumerate(self._names)}
+        self._figures = self._columns.figures()
 
-    def restart(self, seed: int | None) -> None:
+    def _restart(self, seed: int | None) -> None:
         """Starts a new episode, of another problem if there are several."""
         if seed is not None:
-            self.rng, _ = seeding.np_random(seed)
-        name, problem = self._episodes.next(self.rng)
-        if problem is not self.problem:
-            self._play(name, self._kind(problem, self._rules))
+            self._rng, _ = seeding.np_random(seed)
+        name, problem = self._episodes.next(self._rng)
+        if problem is not self.game.problem:
+            self._play(name, self.game_class(problem, self._rules))
         else:
             self.game.reset()
-        self._figures = self.columns.figures()
-        self.begun = True
+        self._figures = self._columns.figures()
+        self._begun = True
 
-    def check_begun(self) -> None:
+    def _check_begun(self) -> None:
         """Raises ResetNeeded before the first episode."""
-        if not self.begun:
+        if not self._begun:
             raise ResetNeeded("step: expected a call of reset() before it")
 
+    # --- copies -----------------------------------------------------------------------------------
+
     def save(self) -> dict[str, Any]:
-        """A copy of the state of the game, for :meth:`restore`."""
-        return {
-            "name": self.name,
-            "game": self.game.copy(),
-            "figures": dict(self._figures),
-            "rng": copy.deepcopy(self.rng),
-            "begun": self.begun,
-        }
+        """A copy of the state of the environment, for :meth:`restore`."""
+        names = ("problem_name", "_figures", "_rng", "_begun", *self._episode)
+        rest = {name: vars(self)[name] for name in names if name in vars(self)}
+        return {"game": self.game.copy(), **copy.deepcopy(rest)}
 
     def restore(self, saved: Mapping[str, Any]) -> None:
-        """Goes back to a saved state; raises ValueError if it is that of another game."""
-        game: Game = saved["game"]
-        same = game.problem == self.problem or self.many
-        if not (type(game) is self._kind and game.rules == self._rules and same):
-            raise ValueError("saved: expected the state of a game with this problem and options")
-        problem = self.problem
-        self._play(saved["name"], game.copy())
-        if not self.many:  # the next episode begins with this one, and not with an equal one
-            self.game.problem = problem
-            self.columns.problems = (problem,)
-        self._figures = dict(saved["figures"])
-        self.rng = copy.deepcopy(saved["rng"])
-        self.begun = saved["begun"]
+        """Puts the environment back into a saved state.
 
-    @property
-    def problem(self) -> Problem:
-        """The problem that is played."""
-        return self.game.problem
+        Args:
+            saved: returned by :meth:`save` of this environment, or of one with the same problem and
+                options.
+
+        Raises:
+            ValueError: it is the state of another game.
+        """
+        rest, problem = dict(saved), self.game.problem
+        game: Game = rest.pop("game")
+        same = game.problem == problem or self._episodes.many
+        if not (type(game) is self.game_class and game.rules == self._rules and same):
+            raise ValueError("saved: expected the state of a game with this problem and options")
+        self._play(rest["problem_name"], game.copy())
+        if not self._episodes.many:  # the next episode begins with this one, not with an equal one
+            self.game.problem = problem
+            self._columns.problems = (problem,)
+        vars(self).update(copy.deepcopy(rest))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What made the environment, and where it stands."""
+        return {**super().__getstate__(), "saved": self.save()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Makes the environment anew and puts it where the copied one stands."""
+        super().__setstate__(state)
+        self.restore(state["saved"])
 
     # --- what agents see --------------------------------------------------------------------------
 
-    def new_observation_space(self) -> Space[Any]:
+    def _new_space(self) -> Space[Any]:
         """An observation space of its own for each agent, so that each can be seeded separately."""
         # The copied space has no random numbers yet. Making a new one takes ten times as long.
-        box = copy.copy(self.box)
-        if not self.masked:
+        box = copy.copy(self._box)
+        if not self._masked:
             return box
-        mask = Box(0, 1, (self.actions,), np.int8)
-        return Dict({self._observation_key: box, self.mask_key: mask})
+        mask = Box(0, 1, (self._actions,), np.int8)
+        return Dict({self._observation_key: box, self._mask_key: mask})
 
-    def see(self, agent: int) -> NDArray[np.float32]:
+    def _see(self, agent: int) -> NDArray[np.float32]:
         """A new observation of one agent; zeros for NOBODY."""
         if agent == NOBODY:
-            return np.zeros(self.box.shape, np.float32)
+            return np.zeros(self._box.shape, np.float32)
         if self._sees_plainly:
             seen: NDArray[np.float32] = self._observation.see(self.game, agent)
             return seen
-        return self.see_all([agent])[0]
+        return self._see_all([agent])[0]
 
-    def see_all(self, agents: Sequence[int]) -> NDArray[np.float32]:
+    def _see_all(self, agents: Sequence[int]) -> NDArray[np.float32]:
         """(K, *S) new observations of many agents, or NOBODY."""
         if not hasattr(self._observation, "write"):
-            return np.array([self.see(agent) for agent in agents], np.float32)
-        out = np.empty((len(agents), *self.box.shape), np.float32)
+            return np.array([self._see(agent) for agent in agents], np.float32)
+        out = np.empty((len(agents), *self._box.shape), np.float32)
         rows = np.zeros(len(agents), np.int32), np.array(agents, np.int32)
-        self._observation.write(self.columns, *rows, out)
+        self._observation.write(self._columns, *rows, out)
         return out
 
-    def observation(self, agent: int) -> Any:
+    def _shown(self, agent: int) -> Any:
         """A new observation of one agent, in the form that the options ask for."""
-        if self._sees_plainly and agent != NOBODY:
-            seen = self._observation.see(self.game, agent)
-        else:
-            seen = self.see(agent)
-        return self.seen(seen, self.mask(agent)) if self.masked else seen
+        seen = self._see(agent)
+        return self._with_mask(seen, self._mask(agent)) if self._masked else seen
 
-    def seen(self, observation: NDArray[np.float32], mask: NDArray[np.int8]) -> Any:
+    def _with_mask(self, observation: NDArray[np.float32], mask: NDArray[np.int8]) -> Any:
         """An observation with its mask, in the form that the options ask for."""
-        if self.masked:
-            return {self._observation_key: observation, self.mask_key: mask.copy()}
+        if self._masked:
+            return {self._observation_key: observation, self._mask_key: mask.copy()}
         return observation
 
-    # --- masks ------------------------------------------------------------------------------------
-
-    def active(self, agent: int) -> bool:
+    def _is_active(self, agent: int) -> bool:
         """Whether an agent still has a task to route."""
         return agent != NOBODY and self.game.status[agent] == ACTIVE
 
-    def mask(self, agent: int) -> NDArray[np.int8]:
+    def _mask(self, agent: int) -> NDArray[np.int8]:
         """(A,) int8, a new action mask of one agent; that of NOBODY is all ones."""
-        if self.persists and not self.active(agent):
-            return self.no_op.copy()
+        if self._persists and not self._is_active(agent):
+            return self._no_op.copy()
         return self._masks[0 if agent == NOBODY else self.game.free_moves(agent)].copy()
 
-    def masks(self, agents: Sequence[int]) -> NDArray[np.int8]:
+    def _mask_all(self, agents: Sequence[int]) -> NDArray[np.int8]:
         """(K, A) int8, new action masks of many agents."""
         free_moves = self.game.free_moves
         out = self._table[[0 if n == NOBODY else free_moves(n) for n in agents]]
-        if self.persists:
-            out[[not self.active(n) for n in agents]] = self.no_op
+        if self._persists:
+            out[[not self._is_active(n) for n in agents]] = self._no_op
         return out
 
     # --- moves ------------------------------------------------------------------------------------
 
-    def move(self, n: int, action: int) -> Any:
-        """An agent moves: what that pays it if ``pays_mover``, otherwise (N,) float32 for all."""
-        if self.pays_mover:
+    def _move(self, n: int, action: int) -> Any:
+        """An agent moves: what that pays it if ``_pays_mover``, or else (N,) float32 for all."""
+        if self._pays_mover:
             self.game.move(n, action)
-            return self.reward.pay(self.game, n)
-        before = self.columns.before(self._figures)
+            return self._reward.pay(self.game, n)
+        before = self._columns.before(self._figures)
         self.game.move(n, action)
-        self._figures = self.columns.figures()
-        return paid_by(self.reward, self.columns, before, np.array([n], np.int32))[0]
+        self._figures = self._columns.figures()
+        return paid_by(self._reward, self._columns, before, np.array([n], np.int32))[0]
 
-    def task_end(self, n: int) -> dict[str, Any]:
+    def _task_end(self, n: int) -> dict[str, Any]:
         """What the info after a move says of the task that has ended with it; empty if none has.
 
         The agent still stands where it arrived.
@@ -236,19 +224,10 @@ class BaseGame:
         if not ending:
             return {}
         mask = self._masks[self.game.free_moves(n)].copy()
-        seen = self.seen(self.see(n), mask)
+        seen = self._with_mask(self._see(n), mask)
         return {"task_ended": ending, "task_obs": seen, "task_mask": mask}
 
-    # --- results ----------------------------------------------------------------------------------
-
-    def info(self, mask: NDArray[np.int8], over: bool) -> dict[str, Any]:
-        """An agent's info: its mask and, when the game is over, the metrics."""
-        info: dict[str, Any] = {self.mask_key: mask}
-        if over:
-            info |= self.result()
-        return info
-
-    def result(self) -> dict[str, Any]:
+    def _result(self) -> dict[str, Any]:
         """What infos hold when the game is over: the metrics, also where loggers look for them."""
         metrics = self.game.metrics()
         return {
@@ -258,27 +237,58 @@ class BaseGame:
             "is_success": metrics["tasks"] == metrics["joined"] and not metrics["overflow"],
         }
 
-    def state(self) -> NDArray[np.float32]:
-        """The global state; see :func:`marouting.observations.state_of`."""
-        return state_of(self._observation, self.columns)[0]
+    # --- methods beyond those of PettingZoo and Gymnasium -----------------------------------------
 
-    def picture(self) -> str | NDArray[np.uint8] | None:
+    def action_mask(self, agent: str) -> NDArray[np.int8]:
+        """(A,) int8, 1 for the moves of a net that cross an edge now; never all zero.
+
+        Raises:
+            KeyError: there is no such net.
+        """
+        if agent not in self._everyone:
+            raise KeyError(agent)
+        return self._mask(self._agent_of.get(agent, NOBODY))
+
+    @property
+    def idle_nets(self) -> list[str]:
+        """The names of the problem's nets with all pins in one Gcell: nothing to route, no agents.
+
+        Solutions and metrics count them as joined.
+        """
+        nets = (f"net_{net}" for net in range(len(self.game.problem.nets)))
+        return [net for net in nets if net not in self._agent_of]
+
+    def state(self) -> NDArray[np.float32]:
+        """The global state, float32: (X, Y, 5 Z), see :func:`marouting.observations.state_space`.
+
+        Observations can define their own state; see :func:`marouting.observations.state_of`.
+        """
+        return state_of(self._observation, self._columns)[0]
+
+    def metrics(self) -> dict[str, int]:
+        """The present overflow, wirelength, tasks joined, number of tasks, and steps."""
+        return self.game.metrics()
+
+    def solution(self) -> Solution:
+        """The present routes."""
+        return self.game.solution()
+
+    def render(self) -> Any:
         """Renders the game according to ``render_mode``."""
         if self.render_mode is None:
-            from gymnasium import logger
-
             logger.warn("render() needs a render_mode: give one when you make the environment.")
             return None
+        scene = scene_of(self._columns)
         if self.render_mode == "ansi":
-            return ansi(scene_of(self.columns))
-        pixels = rgb_array(scene_of(self.columns))
+            return ansi(scene)
+        pixels = rgb_array(scene)
         if self.render_mode == "rgb_array":
             return pixels
-        self._window.show(pixels, self.metadata["render_fps"])
+        self._window.show(pixels, METADATA["render_fps"])
         return None
 
     def close(self) -> None:
-        """Closes the window of ``render_mode="human"``."""
+        """Closes the window, if there is one."""
         self._window.close()
 
 
@@ -293,119 +303,15 @@ def checked_move(action: Any, actions: int, name: str = "action") -> int:
     return move
 
 
-class GameMethods(EzPickle):
-    """The methods of every environment beyond those of PettingZoo or Gymnasium.
+class NetEnv(GameEnv):
+    """What the environments in which every net is an agent have in common."""
 
-    A copy by :mod:`copy` or :mod:`pickle` goes on where the environment stands. Pieces of your own
-    that keep a state are only copied with it if they were given as objects.
-
-    Attributes:
-        game_class: the rules; a subclass of the environment may name its own
-            :class:`marouting.game.Game`.
-    """
-
-    game_class: ClassVar[type[Game]] = Game
-    _game: BaseGame
-    _episode: ClassVar[tuple[str, ...]]
-    """The attributes that change during an episode, beside the game."""
-
-    def save(self) -> dict[str, Any]:
-        """A copy of the state of the environment, for :meth:`restore`."""
-        rest = {name: vars(self)[name] for name in self._episode if name in vars(self)}
-        return {"game": self._game.save(), **copy.deepcopy(rest)}
-
-    def restore(self, saved: Mapping[str, Any]) -> None:
-        """Puts the environment back into a saved state.
-
-        Args:
-            saved: returned by :meth:`save` of this environment, or of one with the same problem and
-                options.
-
-        Raises:
-            ValueError: it is the state of another game.
-        """
-        rest = dict(saved)
-        self._game.restore(rest.pop("game"))
-        vars(self).update(copy.deepcopy(rest))
-
-    def __getstate__(self) -> dict[str, Any]:
-        """What made the environment, and where it stands."""
-        return {**super().__getstate__(), "saved": self.save()}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Makes the environment anew and puts it where the copied one stands."""
-        super().__setstate__(state)
-        self.restore(state["saved"])
-
-    @property
-    def game(self) -> Game:
-        """The game, to be read."""
-        return self._game.game
-
-    @property
-    def problem_name(self) -> str:
-        """The name of the problem that is played, of its file or in its set or scenario."""
-        return self._game.name
-
-    def action_mask(self, agent: str) -> NDArray[np.int8]:
-        """(A,) int8, 1 for the moves of a net that cross an edge now; never all zero.
-
-        Raises:
-            KeyError: there is no such net.
-        """
-        if agent not in self._game.everyone:
-            raise KeyError(agent)
-        return self._game.mask(self._game.numbers.get(agent, NOBODY))
-
-    @property
-    def idle_nets(self) -> list[str]:
-        """The names of the problem's nets with all pins in one Gcell: nothing to route, no agents.
-
-        Solutions and metrics count them as joined.
-        """
-        agents = self._game.numbers
-        nets = (f"net_{net}" for net in range(len(self._game.problem.nets)))
-        return [net for net in nets if net not in agents]
-
-    def state(self) -> NDArray[np.float32]:
-        """The global state, float32: (X, Y, 5 Z), see :func:`marouting.observations.state_space`.
-
-        Observations can define their own state; see :func:`marouting.observations.state_of`.
-        """
-        return self._game.state()
-
-    def metrics(self) -> dict[str, int]:
-        """The present overflow, wirelength, tasks joined, number of tasks, and steps."""
-        return self._game.game.metrics()
-
-    def solution(self) -> Solution:
-        """The present routes."""
-        return self._game.game.solution()
-
-    def render(self) -> Any:
-        """Renders the game according to ``render_mode``."""
-        return self._game.picture()
-
-    def close(self) -> None:
-        """Closes the window, if there is one."""
-        self._game.close()
-
-
-class NetMethods(GameMethods):
-    """The methods that the environments in which every net is an agent share."""
-
-    possible_agents: list[str]
-
-    def _open(self, game: BaseGame) -> None:
-        """Sets up the attributes that PettingZoo asks for."""
-        self._game = game
-        self.render_mode = game.render_mode
-        self.state_space = game.state_space
-        self.possible_agents = list(game.everyone)
-        self.observation_spaces = {
-            agent: game.new_observation_space() for agent in self.possible_agents
-        }
-        self.action_spaces = {agent: Discrete(game.actions) for agent in self.possible_agents}
+    def _open(self, problem: Source, turn_order: TurnOrder, options: Mapping[str, Any]) -> None:
+        """Makes the game, and sets up the attributes that PettingZoo asks for."""
+        super()._open(problem, turn_order, options)
+        self.possible_agents = list(self._everyone)
+        self.observation_spaces = {agent: self._new_space() for agent in self.possible_agents}
+        self.action_spaces = {agent: Discrete(self._actions) for agent in self.possible_agents}
         self.agents: list[str] = []
 
     def observation_space(self, agent: str) -> Space[Any]:
@@ -419,4 +325,4 @@ class NetMethods(GameMethods):
     @property
     def np_random(self) -> np.random.Generator:
         """The environment's random numbers, for wrappers; ``reset(seed)`` seeds them."""
-        return self._game.rng
+        return self._rng

@@ -12,14 +12,14 @@ import numpy as np
 from gymnasium.utils import EzPickle
 from pettingzoo import ParallelEnv
 
-from marouting.env.base import METADATA, BaseGame, NetMethods, checked_move
+from marouting.env.base import METADATA, NetEnv, checked_move
 from marouting.game import ACTIVE, NOBODY, WAITING, Game, Status
 from marouting.memory import check_memory
 from marouting.options import ORDERS
 from marouting.source import Source
 
 
-class GlobalRoutingParallel(NetMethods, ParallelEnv):
+class GlobalRoutingParallel(NetEnv, ParallelEnv):
     """Global routing in which every net is an agent and all agents move in every step.
 
     With ``turn_order="sequential"`` every agent gives an action, but only the agent whose turn it
@@ -35,8 +35,8 @@ class GlobalRoutingParallel(NetMethods, ParallelEnv):
 
     def __init__(self, problem: Source = None, **options: Any) -> None:
         EzPickle.__init__(self, problem, **options)
-        self._open(BaseGame(problem, ORDERS["multi"], options, self.game_class))
-        agents, numbers = len(self.possible_agents), math.prod(self._game.box.shape)
+        self._open(problem, ORDERS["multi"], options)
+        agents, numbers = len(self.possible_agents), math.prod(self._box.shape)
         size = agents * numbers * np.dtype(np.float32).itemsize
         check_memory(size, "{} observations of {} numbers", agents, numbers)
 
@@ -50,24 +50,23 @@ class GlobalRoutingParallel(NetMethods, ParallelEnv):
             options: ignored; PettingZoo's interface has them.
         """
         del options
-        base = self._game
-        base.restart(seed)
-        self.agents = list(self.possible_agents if base.persists else base.names)
+        self._restart(seed)
+        self.agents = list(self.possible_agents if self._persists else self._names)
         # Those in the game; NOBODY for one that this problem does not have.
-        self._numbers = [base.numbers.get(agent, NOBODY) for agent in self.agents]
+        self._numbers = [self._agent_of.get(agent, NOBODY) for agent in self.agents]
         return self._look(first=True)
 
     def _look(self, *, first: bool) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         """New observations and infos of all agents; the first infos hold nothing but masks."""
-        base, numbers, agents = self._game, self._numbers, self.agents
-        seen: Any = base.see_all(numbers)
-        masks = base.masks(numbers)
-        infos: list[dict[str, Any]] = [{base.mask_key: mask} for mask in masks]
-        if base.persists and not first:
+        numbers, agents = self._numbers, self.agents
+        seen: Any = self._see_all(numbers)
+        masks = self._mask_all(numbers)
+        infos: list[dict[str, Any]] = [{self._mask_key: mask} for mask in masks]
+        if self._persists and not first:
             for info, n in zip(infos, numbers, strict=True):
-                info["active"] = base.active(n)
-        if base.masked:
-            seen = [base.seen(*both) for both in zip(seen, masks, strict=True)]
+                info["active"] = self._is_active(n)
+        if self._masked:
+            seen = [self._with_mask(*both) for both in zip(seen, masks, strict=True)]
         return dict(zip(agents, seen, strict=True)), dict(zip(agents, infos, strict=True))
 
     def step(
@@ -89,28 +88,27 @@ class GlobalRoutingParallel(NetMethods, ParallelEnv):
             KeyError: an agent's action is missing.
             ValueError: an action is out of range.
         """
-        self._game.check_begun()
-        agents, numbers, base = self.agents, self._numbers, self._game
-        game = base.game
-        moves = _moves([actions[agent] for agent in agents], agents, base.actions)
-        rewards, ended = self._move(dict(zip(numbers, moves, strict=True)))
+        self._check_begun()
+        agents, numbers, game = self.agents, self._numbers, self.game
+        moves = _moves([actions[agent] for agent in agents], agents, self._actions)
+        rewards, ended = self._move_all(dict(zip(numbers, moves, strict=True)))
         observations, infos = self._look(first=False)
         for n, told in ended.items():
-            infos[base.names[n]] |= told
+            infos[self._names[n]] |= told
         status = [WAITING if n == NOBODY else game.status[n] for n in numbers]
         over = not game.active
-        if base.persists:  # all end together
+        if self._persists:  # all end together
             cut = [over and s == Status.TRUNCATED for s in status]
             done = [over and not c for c in cut]
         else:
             cut = [s == Status.TRUNCATED for s in status]
             done = [s == Status.TERMINATED for s in status]
         if over and agents:  # the figures of the game change no more
-            result = base.result()
+            result = self._result()
             for info in infos.values():
                 info |= {**result, "metrics": dict(result["metrics"])}
             self.agents, self._numbers = [], []
-        elif not base.persists and any(status):
+        elif not self._persists and any(status):
             stays = [k for k, s in enumerate(status) if s == ACTIVE]
             self.agents = [agents[k] for k in stays]
             self._numbers = [numbers[k] for k in stays]
@@ -124,17 +122,19 @@ class GlobalRoutingParallel(NetMethods, ParallelEnv):
             infos,
         )
 
-    def _move(self, moves: dict[int, int]) -> tuple[dict[int, float], dict[int, dict[str, Any]]]:
+    def _move_all(
+        self, moves: dict[int, int]
+    ) -> tuple[dict[int, float], dict[int, dict[str, Any]]]:
         """Makes the moves in turn order: what pays each agent, and infos of tasks that ended."""
-        base, game = self._game, self._game.game
+        game = self.game
         movers = game.movers()
-        if base.pays_mover:
-            move, pay, rewards = game.move, base.reward.pay, {}
+        if self._pays_mover:
+            move, pay, rewards = game.move, self._reward.pay, {}
             for n in movers:
                 move(n, moves[n])
                 rewards[n] = pay(game, n)
             ending = [n for n in movers if game.ending[n]]
-            ended = {n: base.task_end(n) for n in ending}
+            ended = {n: self._task_end(n) for n in ending}
             for n in ending:
                 game.settle(n)
         else:
@@ -144,15 +144,15 @@ class GlobalRoutingParallel(NetMethods, ParallelEnv):
             paid, arrived = np.zeros(len(game.nets), np.float32), {}
             stays = np.ones(len(game.nets), np.bool_)
             for n in movers:
-                if not base.persists:  # those who are done have left
+                if not self._persists:  # those who are done have left
                     stays = np.array(game.status) == ACTIVE
-                paid += base.move(n, moves[n]) * stays
+                paid += self._move(n, moves[n]) * stays
                 if game.ending[n]:
                     arrived[n] = _standing(game, n)
                 game.settle(n)
             settled = {n: _standing(game, n) for n in arrived}
             _stand(game, arrived)
-            ended = {n: base.task_end(n) for n in arrived}
+            ended = {n: self._task_end(n) for n in arrived}
             _stand(game, settled)
             rewards = dict(enumerate(paid.tolist()))
         if movers:

@@ -10,13 +10,13 @@ from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
 from marouting.config import check
-from marouting.env.base import METADATA, BaseGame, GameMethods, checked_move
+from marouting.env.base import METADATA, GameEnv, checked_move
 from marouting.game import NOBODY
 from marouting.options import ORDERS
 from marouting.source import Source
 
 
-class GlobalRoutingSingle(GameMethods, gymnasium.Env[Any, Any]):
+class GlobalRoutingSingle(GameEnv, gymnasium.Env[Any, Any]):
     """Global routing as a game for one player: every step moves the net whose turn it is.
 
     The observation is that of the net to move. The episode is terminated when all tasks of all nets
@@ -38,13 +38,10 @@ class GlobalRoutingSingle(GameMethods, gymnasium.Env[Any, Any]):
         self, problem: Source = None, render_mode: str | None = None, **options: Any
     ) -> None:
         EzPickle.__init__(self, problem, render_mode, **options)
-        self._game = BaseGame(
-            problem, ORDERS["single"], {**options, "render_mode": render_mode}, self.game_class
-        )
+        self._open(problem, ORDERS["single"], {**options, "render_mode": render_mode})
         check("agents_persist", not options.get("agents_persist"), "false: only one player")
-        self.render_mode = render_mode
-        self.observation_space = self._game.new_observation_space()
-        self.action_space = Discrete(self._game.actions)
+        self.observation_space = self._new_space()
+        self.action_space = Discrete(self._actions)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -57,25 +54,24 @@ class GlobalRoutingSingle(GameMethods, gymnasium.Env[Any, Any]):
         """
         del options
         super().reset(seed=seed)
-        self._game.restart(seed)
+        self._restart(seed)
         if self.render_mode == "human":
             self.render()
         seen, info = self._look()
-        if self._game.many:
-            info["problem"] = self._game.name
+        if self._episodes.many:
+            info["problem"] = self.problem_name
         return seen, info
 
     def action_masks(self) -> NDArray[np.bool_]:
         """(A,) bool, the moves of the net to move that cross an edge, as sb3-contrib asks."""
-        return self._game.mask(self._game.game.turn).astype(np.bool_)
+        return self._mask(self.game.turn).astype(np.bool_)
 
     def _look(self) -> tuple[Any, dict[str, Any]]:
         """Observation and info of the net to move."""
-        base = self._game
-        n = self._net = base.game.turn
-        mask = base.mask(n)
-        info = base.info(mask, over=False) | {"net": base.names[n]}
-        return base.seen(base.see(n), mask), info
+        n = self._net = self.game.turn
+        mask = self._mask(n)
+        info = {self._mask_key: mask, "net": self._names[n]}
+        return self._with_mask(self._see(n), mask), info
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Moves the net whose turn it is.
@@ -86,16 +82,15 @@ class GlobalRoutingSingle(GameMethods, gymnasium.Env[Any, Any]):
             ResetNeeded: no episode has begun.
             ValueError: the action is not one of the actions.
         """
-        base = self._game
-        base.check_begun()
-        move, game = checked_move(action, base.actions), base.game
+        self._check_begun()
+        move, game = checked_move(action, self._actions), self.game
         reward, ended = 0.0, {}
         if (n := game.turn) == NOBODY:
             logger.warn("step(): the episode is over, and nothing changes before reset().")
         else:
-            paid = base.move(n, move)
-            reward = paid if base.pays_mover else paid.sum().item()
-            ended = base.task_end(n)
+            paid = self._move(n, move)
+            reward = paid if self._pays_mover else paid.sum().item()
+            ended = self._task_end(n)
             game.settle(n)
             game.pass_turn(n)
         if self.render_mode == "human":
@@ -104,7 +99,7 @@ class GlobalRoutingSingle(GameMethods, gymnasium.Env[Any, Any]):
             seen, info = self._look()
             return seen, reward, False, False, info | ended
         # At the end, the observation is that of the net that moved last.
-        info = base.info(base.mask(self._net), over=True) | ended
-        info["net"] = base.names[self._net]
+        info = {self._mask_key: self._mask(self._net)} | self._result() | ended
+        info["net"] = self._names[self._net]
         joined = info["open"] == 0
-        return base.observation(self._net), reward, joined, not joined, info
+        return self._shown(self._net), reward, joined, not joined, info

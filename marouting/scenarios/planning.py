@@ -72,76 +72,42 @@ PLANNING = (
     _random_nets(
         "toy-4x4-v0",
         "Five two-pin nets with one track per edge, to be learnt in minutes.",
-        RandomNets(
-            grid=(4, 4, 2),
-            nets=(5, 5),
-            max_pins=(2, 2),
-            capacity=(1, 1),
-        ),
+        RandomNets(grid=(4, 4, 2), nets=(5, 5), max_pins=(2, 2), capacity=(1, 1)),
     ),
     _random_nets(
         "two-pin-8x8-v0",
         "Fifty two-pin nets that just fit.",
-        RandomNets(
-            grid=(8, 8, 2),
-            nets=(50, 50),
-            max_pins=(2, 2),
-            capacity=(4, 4),
-        ),
+        RandomNets(grid=(8, 8, 2), nets=(50, 50), max_pins=(2, 2), capacity=(4, 4)),
     ),
     _random_nets(
         "paper-table2-row3-v0",
         "The paper's problems of fifty two-pin nets and three reduced edges "
         "(Liao et al. 2019, table 2, row 3).",
         RandomNets(
-            grid=(8, 8, 2),
-            nets=(50, 50),
-            max_pins=(2, 2),
-            capacity=(5, 5),
-            reduced_edges=3,
+            grid=(8, 8, 2), nets=(50, 50), max_pins=(2, 2), capacity=(5, 5), reduced_edges=3
         ),
     ),
     _random_nets(
         "multi-pin-8x8-v0",
         "Thirty nets of up to five pins that just fit.",
-        RandomNets(
-            grid=(8, 8, 2),
-            nets=(30, 30),
-            max_pins=(5, 5),
-            capacity=(4, 4),
-        ),
+        RandomNets(grid=(8, 8, 2), nets=(30, 30), max_pins=(5, 5), capacity=(4, 4)),
     ),
     _random_nets(
         "mixed-v0",
         "Problems that differ in nets, pins and capacity, on one grid of three layers.",
-        RandomNets(
-            grid=(10, 10, 3),
-            nets=(20, 60),
-            max_pins=(2, 5),
-            capacity=(3, 5),
-        ),
+        RandomNets(grid=(10, 10, 3), nets=(20, 60), max_pins=(2, 5), capacity=(3, 5)),
     ),
     _random_nets(
         "large-64x64-v0",
         "A thousand nets of up to four pins on a grid of 8192 Gcells.",
-        RandomNets(
-            grid=(64, 64, 2),
-            nets=(1000, 1000),
-            max_pins=(4, 4),
-            capacity=(16, 16),
-        ),
+        RandomNets(grid=(64, 64, 2), nets=(1000, 1000), max_pins=(4, 4), capacity=(16, 16)),
         validation=5,
         test=10,
     ),
     _random_nets(
         "tight-16x16-v0",
         "A hundred two-pin nets that do not fit: overflow is to be as small as can be.",
-        RandomNets(
-            grid=(16, 16, 2),
-            nets=(100, 100),
-            max_pins=(2, 2),
-            capacity=(3, 3),
-        ),
+        RandomNets(grid=(16, 16, 2), nets=(100, 100), max_pins=(2, 2), capacity=(3, 3)),
         validation=10,
         test=20,
         feasible=False,
@@ -149,12 +115,7 @@ PLANNING = (
     _random_nets(
         "tight-32x32-v0",
         "Five hundred nets of up to four pins that nearly fit, if at all.",
-        RandomNets(
-            grid=(32, 32, 2),
-            nets=(500, 500),
-            max_pins=(4, 4),
-            capacity=(11, 11),
-        ),
+        RandomNets(grid=(32, 32, 2), nets=(500, 500), max_pins=(4, 4), capacity=(11, 11)),
         validation=5,
         test=10,
         feasible=False,
