@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.memory import USED, check_memory
-from marouting.problem.grid import AXES, OFF_GRID, counted
+from marouting.problem.grid import AXES, OFF_GRID, VIA_AXIS, counted
 from marouting.problem.net import FieldError, Pin
 from marouting.problem.problem import Problem
 
@@ -74,27 +74,26 @@ def longest_runs(
     problem: Problem, net: NDArray[np.int64], edge: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """As :func:`longest_segments`, but with (n, 2) the numbers of the end Gcells."""
-    near, axis = np.divmod(edge, AXES)
-    stride = problem.strides[axis]
-    # Within a row of Gcells along the axis, identified by its first Gcell, edges with consecutive
-    # places are neighbours.
-    position = np.stack(np.unravel_index(near, problem.grid), axis=1)
-    along = position[np.arange(len(near)), axis]
-    start = near - along * stride
-    order = np.lexsort((along, start, axis, net))
-    net, axis, near, start, along, stride = (
-        column[order] for column in (net, axis, near, start, along, stride)
-    )
-    begins = np.ones(len(near), np.bool_)
-    begins[1:] = (
-        (np.diff(net) != 0) | (np.diff(axis) != 0) | (np.diff(start) != 0) | (np.diff(along) != 1)
-    )
-    ends = np.roll(begins, -1)
-    first, last = np.flatnonzero(begins), np.flatnonzero(ends)
-    canonical = np.lexsort((axis[first], near[first], net[first]))
-    first, last = first[canonical], last[canonical]
-    gcells = np.stack((near[first], near[last] + stride[last]), axis=1)
-    return net[first], gcells
+    columns, rows, layers = problem.grid
+    size = columns * rows * layers
+    gcell, axis = edge // AXES, edge % AXES
+    x, y, z = np.unravel_index(gcell, problem.grid)
+    # Numbered along their own axis, neighbouring edges follow each other; those of different rows
+    # never do, as no edge begins at the end of a row.
+    along = np.where(axis == 0, (y * layers + z) * columns + x, (x * layers + z) * rows + y)
+    along = np.where(axis == VIA_AXIS, gcell, along)
+    key = np.sort((net * AXES + axis) * size + along)
+    breaks = np.flatnonzero(np.diff(key) != 1)
+    first = key[np.append(0, breaks + 1)[: len(key)]]
+    length = key[np.append(breaks, len(key) - 1)[: len(key)]] - first + 1
+    net, axis, along = first // size // AXES, first // size % AXES, first % size
+    x = np.where(axis == 0, along % columns, along // layers // rows)
+    y = np.where(axis == 0, along // columns // layers, along % rows)
+    z = np.where(axis == 0, along // columns % layers, along // rows % layers)
+    gcell = np.where(axis == VIA_AXIS, along, (x * rows + y) * layers + z)
+    order = np.argsort((net * size + gcell) * AXES + axis)
+    net, gcell, last = net[order], gcell[order], (gcell + length * problem.strides[axis])[order]
+    return net, np.stack((gcell, last), axis=1)
 
 
 def with_pins_at(problem: Problem, gcells: NDArray[np.int64]) -> Problem:

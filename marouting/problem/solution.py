@@ -7,7 +7,7 @@ import textwrap
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,16 +141,20 @@ class Solution:
         Returns:
             Another solution of the same problem, or this one if no edge joins nothing.
         """
-        first, pins = self.problem.flat_pin_gcells
-        return self._pruned(np.repeat(np.arange(len(self.problem.nets)), np.diff(first)), pins)
+        return self._pruned(self._graph)
 
-    def _pruned(self, pin_net: NDArray[np.int64], pins: NDArray[np.int64]) -> "Solution":
-        """:meth:`pruned` with pins in Gcells (pins,) of nets (pins,)."""
+    @functools.cached_property
+    def _graph(self) -> "_Graph":
+        """The graph of the routes and the problem's pins."""
+        first, pins = self.problem.flat_pin_gcells
+        return _graph(self, np.repeat(np.arange(len(self.problem.nets)), np.diff(first)), pins)
+
+    def _pruned(self, graph: "_Graph") -> "Solution":
+        """:meth:`pruned` with the pins of a graph."""
         net, edge = self.uses
-        vertex = _graph(self, pin_net, pins)
-        size, kept = int(vertex.max()) + 1, np.zeros(len(edge), np.bool_)
-        ends, at_pins = vertex[: 2 * len(edge)].reshape(2, -1), vertex[2 * len(edge) :]
-        if _are_trees(ends, at_pins, size):
+        ends, at_pins, part = graph
+        size, kept = len(part), np.zeros(len(edge), np.bool_)
+        if _are_trees(graph):
             return self
         order = np.argsort(ends.T.reshape(-1), kind="stable")
         first = np.searchsorted(ends.T.reshape(-1)[order], np.arange(size + 1))
@@ -243,7 +247,8 @@ class Solution:
             elif len(record.boxes):
                 boxes = Boxes(record.net, record.boxes[:, :4], record.boxes[:, 4])
                 region = Solution.of_uses(problem, *edges_in_boxes(problem, boxes))
-                return region._pruned(problem.net_of_pins, region._reached_gcells())
+                pins = region._reached_gcells()
+                return region._pruned(_graph(region, problem.net_of_pins, pins))
             elif len(record.points):
                 segment, edge = _edges_of_points(problem, record)
             else:
@@ -310,8 +315,8 @@ class Solution:
                 more = patches(self.problem, self.uses, self.used_edges)
             net, box, layer = boxes_of(self.problem, *self.uses, more)
             rows = [
-                f"{' '.join(map(str, corners))} {layers[z]}"
-                for corners, z in zip(box.tolist(), layer.tolist(), strict=True)
+                f"{left} {low} {right} {high} {layers[z]}"
+                for left, low, right, high, z in zip(*box.T.tolist(), layer.tolist(), strict=True)
             ]
             ispd.write_routes(path, [net.name for net in nets], net, rows)
         elif format == "ispd2024":
@@ -473,8 +478,9 @@ def evaluate(problem: Problem, solution: Solution) -> Evaluation:
     used, tracks = solution.used_edges if own is problem else _used_edges(problem, solution)
     overflow = np.maximum(tracks - problem.capacity_of(used), 0)
     _, edge = solution.uses
-    pin_net, pin_part = _pin_parts(problem, solution)
-    first = np.searchsorted(pin_net, np.arange(len(problem.nets)))
+    first = problem.flat_pin_gcells[0][:-1]
+    pin_net = np.repeat(np.arange(len(first)), np.diff(problem.flat_pin_gcells[0]))
+    pin_part = solution._graph.part[solution._graph.pins]
     disconnected = distinct(pin_net[pin_part != pin_part[first][pin_net]])
     return Evaluation(
         overflow=int(overflow.sum()),
@@ -501,39 +507,36 @@ def _used_edges(
     return used, np.add.reduceat(tracks[order], first) if len(first) else tracks
 
 
-def _pin_parts(problem: Problem, solution: Solution) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """(pin Gcells,) twice: the net of each pin Gcell, and the connected part that it lies in."""
-    edges = len(solution.uses[1])
-    first, pins = problem.flat_pin_gcells
-    pin_net = np.repeat(np.arange(len(problem.nets)), np.diff(first))
-    index = _graph(solution, pin_net, pins)
-    part = joined_parts(index[:edges], index[edges : 2 * edges], int(index.max()) + 1)
-    return pin_net, part[index[2 * edges :]]
+class _Graph(NamedTuple):
+    """One graph that holds the routes of all nets, and pins.
 
-
-def _graph(
-    solution: Solution, pin_net: NDArray[np.int64], pins: NDArray[np.int64]
-) -> NDArray[np.int64]:
-    """One graph that holds the routes of all nets, and pins in Gcells (pins,) of nets (pins,).
-
-    Its vertices are pairs of a net and a Gcell where the net has a pin or an edge, numbered in this
-    order. What comes back is the vertices at the near ends of all uses, then at the far ends, then
-    of the pins.
+    Its vertices are pairs of a net and a Gcell where the net has a pin or an edge, in this order.
     """
+
+    ends: NDArray[np.int64]  # (2, uses) the vertices at the near and the far end of every use
+    pins: NDArray[np.int64]  # (pins,) those of the pins
+    part: NDArray[np.int64]  # (vertices,) the lowest vertex that each is connected to
+
+
+def _graph(solution: Solution, pin_net: NDArray[np.int64], pins: NDArray[np.int64]) -> _Graph:
+    """The graph of a solution and of pins in Gcells (pins,) of nets (pins,)."""
     net, edge = solution.uses
     topology = solution.problem.topology
     near, far = topology.ends(edge)
     pairs = np.concatenate((net, net, pin_net)) * topology.gcells
     pairs += np.concatenate((near, far, pins))
-    return np.unique(pairs, return_inverse=True)[1]
+    vertices, index = np.unique(pairs, return_inverse=True)
+    ends = index[: 2 * len(edge)].reshape(2, -1)
+    return _Graph(ends, index[2 * len(edge) :], joined_parts(ends[0], ends[1], len(vertices)))
 
 
-def _are_trees(ends: NDArray[np.int64], pins: NDArray[np.int64], size: int) -> bool:
-    """Whether all parts of a graph of so many vertices are trees that end in pins."""
-    leaf = np.bincount(ends.reshape(-1), minlength=size) == 1
-    leaf[pins] = False
-    parts = np.count_nonzero(joined_parts(ends[0], ends[1], size) == np.arange(size))
-    return not leaf.any() and ends.shape[1] == size - parts
+def _are_trees(graph: _Graph) -> bool:
+    """Whether all parts of a graph are trees that end in pins."""
+    size = len(graph.part)
+    leaf = np.bincount(graph.ends.reshape(-1), minlength=size) == 1
+    leaf[graph.pins] = False
+    parts = np.count_nonzero(graph.part == np.arange(size))
+    return not leaf.any() and graph.ends.shape[1] == size - parts
 
 
 _UNKNOWN, _BEGINS = -2, -1

@@ -127,9 +127,10 @@ def solution_row(solution: Solution, seconds: float | None) -> Row:
 
 def figures_of(solution: Solution) -> Row:
     """The figures of a solution but its time: as it is, and without dangling branches and loops."""
-    figures = asdict(evaluate(solution.problem, solution))
+    judged, less = evaluate(solution.problem, solution), solution.pruned()
+    figures = asdict(judged)
     figures["open_nets"] = len(figures.pop("disconnected"))
-    pruned = evaluate(solution.problem, solution.pruned())
+    pruned = judged if less is solution else evaluate(solution.problem, less)
     figures |= {"pruned_overflow": pruned.overflow, "pruned_wirelength": pruned.wirelength}
     return {column: figures[column] for column in COLUMNS if column in figures}
 

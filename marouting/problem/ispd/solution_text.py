@@ -113,7 +113,8 @@ def write_solution(
 ) -> None:
     """Writes the segments (n, 2, 3) of nets (n,), ascending, as ISPD solution text."""
     texts = [
-        f"({x1},{y1},{l1})-({x2},{y2},{l2})\n" for (x1, y1, l1), (x2, y2, l2) in points.tolist()
+        f"({x1},{y1},{l1})-({x2},{y2},{l2})\n"
+        for x1, y1, l1, x2, y2, l2 in zip(*points.reshape(-1, 6).T.tolist(), strict=True)
     ]
     bounds = np.searchsorted(net, np.arange(len(nets) + 1)).tolist()
     blocks = [
