@@ -16,41 +16,9 @@ An observation whose agents see no further than their surroundings says so by an
 ``local_radius``, a whole number from 0; see :func:`local_radius_of`. Decentralised policies are
 compared by such observations, and :func:`marouting.batch.locality.check_local` holds them to it.
 
-A worked example: the paper's 12 numbers, and the number of agents that are still routing::
-
-    import numpy as np
-    from gymnasium.spaces import Box
-    from marouting import PaperObservation
-
-    class CountingObservation:
-        def __init__(self) -> None:
-            self.paper = PaperObservation()
-
-        def space(self, problems, overflow):
-            inner = self.paper.space(problems, overflow)
-            most = np.float32(max(len(problem.nets) for problem in problems))
-            return Box(np.append(inner.low, np.float32(0)), np.append(inner.high, most))
-
-        def write(self, games, problems, agents, out):
-            self.paper.write(games, problems, agents, out[:, :-1])
-            out[:, -1] = np.where(agents < 0, 0, games.games["active"][problems])
-
-    env = marouting.global_routing_v0.env(observation=CountingObservation())
-
-In YAML, with the class in ``my_pieces.py``::
-
-    observation: {kind: "my_pieces:CountingObservation"}
-
-A simpler form works in the environments, but not in the batch or in trainings: instead of
-``write``, a method ``see(game, n)`` that returns what agent n of a :class:`marouting.game.Game`
-sees::
-
-    class HereAndThere:
-        def space(self, problems, overflow):
-            return Box(0, len(problems[0].capacity), (2,))
-
-        def see(self, game, n):
-            return np.array([game.cell[n], game.target[n]], np.float32)
+docs/own-pieces.md has a worked example. A simpler form works in the environments, but not in the
+batch or in trainings: instead of ``write``, a method ``see(game, n)`` that returns what agent n of
+a :class:`marouting.game.Game` sees.
 """
 
 import functools
@@ -62,6 +30,7 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
+from marouting.checks import check_fields
 from marouting.columns import Games, check_rows
 from marouting.errors import InputError
 from marouting.game import NOBODY, Game
@@ -124,8 +93,7 @@ class PaperObservation:
     local_radius: ClassVar[int] = 0
 
     def __post_init__(self) -> None:
-        if not 0 <= self.via_capacity < np.inf:
-            raise InputError(f"via_capacity: expected a number from 0, found {self.via_capacity}")
+        check_fields(self, via_capacity=(0, np.inf))
 
     def space(self, problems: Sequence[Problem], overflow: bool) -> Box:
         """The box of the 12 numbers; see :class:`Observation`."""

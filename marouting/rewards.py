@@ -12,27 +12,9 @@ turn order. An agent's reward for the step is the sum of what all these moves pa
 environment, what the moves of others pay an agent accumulates until its turn, as PettingZoo
 defines. In the Gymnasium environment, one player moves all nets and gets what all of them are paid.
 
-A worked example: every net of a problem gets the change in the problem's wirelength and overflow::
-
-    import numpy as np
-
-    class TeamReward:
-        def __init__(self, price: float = 10.0) -> None:
-            self.price = price
-
-        def __call__(self, games, before, movers):
-            now, then = games.games, before.games  # figures (M,)
-            change = then["wirelength"] - now["wirelength"]
-            change = change + self.price * (then["overflow"] - now["overflow"])
-            return np.broadcast_to(change[:, None], games.agents.shape)
-
-    env = marouting.global_routing_v0.env(reward=TeamReward(price=5))
-
-In YAML, with the class in ``my_rewards.py``: ``reward: {kind: "my_rewards:TeamReward", price: 5}``.
-
-A reward that pays only the agent that moves has a simpler form, which works in the environments but
-not in the batch or in trainings: a method ``pay(game, n)`` that returns what agent n gets for its
-last move (:class:`marouting.game.Game`).
+docs/own-pieces.md has a worked example. A reward that pays only the agent that moves has a simpler
+form, which works in the environments but not in the batch or in trainings: a method ``pay(game,
+n)`` that returns what agent n gets for its last move (:class:`marouting.game.Game`).
 
 Cooperative rewards use the *cost* of a problem, the weighted sum of overflow, open tasks and
 wirelength. ``team`` and ``difference`` pay the reduction of the cost by a move, so that rewards add
@@ -59,6 +41,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from marouting.checks import check_fields
 from marouting.columns import Before, Games
 from marouting.config import check, piece
 from marouting.errors import InputError
@@ -166,10 +149,7 @@ class PaperReward(PricedReward):
     overflow_price: float = 0.0
 
     def __post_init__(self) -> None:
-        for f in fields(PaperReward):
-            value = getattr(self, f.name)
-            value = 0 if value is None else value
-            check(f.name, abs(value) <= _MOST, f"a number from {-_MOST:g} to {_MOST:g}")
+        check_fields(self, PaperReward, **{f.name: (-_MOST, _MOST) for f in fields(PaperReward)})
 
     @functools.cached_property
     def table(self) -> NDArray[np.float32]:
@@ -236,11 +216,6 @@ class TeamReward(CostReward):
     Every net gets the whole reduction of the cost over the episode, as long as it can be paid:
     those that are done are paid for the moves of the others too. In PettingZoo's interfaces an
     agent that is done leaves and is paid no more, unless ``agents_persist`` is on.
-
-    Attributes:
-        overflow: price of a unit of overflow, in tracks.
-        open: price of a two-pin task that is not joined.
-        wirelength: price of an edge that a net uses.
     """
 
     @property
@@ -255,11 +230,6 @@ class DifferenceReward(CostReward):
 
     The rewards of all nets add up to the reduction of the cost over an episode. A net pays nothing
     for standing in the way of others; see :class:`CounterfactualReward`.
-
-    Attributes:
-        overflow: price of a unit of overflow, in tracks.
-        open: price of a two-pin task that is not joined.
-        wirelength: price of an edge that a net uses.
     """
 
     @property
@@ -288,11 +258,6 @@ class CounterfactualReward(CostReward):
     last state, which is exact. Before that, a task of another net that is still open counts as one
     that will be joined, and a net that stands in its way is only charged when the task fails, even
     if it is done itself by then. In rip-up rounds it pays what ``difference`` pays.
-
-    Attributes:
-        overflow: price of a unit of overflow, in tracks.
-        open: price of a two-pin task that is not joined.
-        wirelength: price of an edge that a net uses.
     """
 
     @property
@@ -320,7 +285,7 @@ class PotentialReward(PricedReward):
     scale: float = 1.0
 
     def __post_init__(self) -> None:
-        check("gamma", 0 <= self.gamma <= 1, f"a number from 0 to 1, found {self.gamma}")
+        check_fields(self, gamma=(0, 1))
 
     @property
     def prices(self) -> Prices:
@@ -366,16 +331,12 @@ class MixedReward:
         return paid
 
 
-KNOWN = (
-    PaperReward, NormalisedReward, TeamReward, DifferenceReward, CounterfactualReward,
-    PotentialReward,
-)  # fmt: skip
-"""The rewards that compiled steps know by their prices; subclasses may do anything."""
-
-
 def prices_of(reward: Reward) -> Prices | None:
-    """The prices of a built-in reward, or of a mixture of them; None for any other."""
-    if isinstance(reward, PricedReward) and type(reward) in KNOWN:
+    """The prices of a built-in reward, or of a mixture of them; None for any other.
+
+    Subclasses may do anything.
+    """
+    if isinstance(reward, PricedReward) and type(reward) in _BUILT_IN.values():
         return reward.prices
     if type(reward) is not MixedReward:
         return None
@@ -488,13 +449,15 @@ def paid_by(
     return np.where((games.nets != NOBODY) & (movers != NOBODY)[:, None], paid, np.float32(0))
 
 
-for _name, _kind in (
-    ("paper", PaperReward),
-    ("normalised", NormalisedReward),
-    ("team", TeamReward),
-    ("difference", DifferenceReward),
-    ("counterfactual", CounterfactualReward),
-    ("potential", PotentialReward),
-    ("mixed", MixedReward),
-):
+_BUILT_IN: dict[str, type[Any]] = {
+    "paper": PaperReward,
+    "normalised": NormalisedReward,
+    "team": TeamReward,
+    "difference": DifferenceReward,
+    "counterfactual": CounterfactualReward,
+    "potential": PotentialReward,
+    "mixed": MixedReward,
+}
+
+for _name, _kind in _BUILT_IN.items():
     register("reward", _name, _kind)

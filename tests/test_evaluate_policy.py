@@ -38,7 +38,7 @@ def test_figures_are_those_of_the_routes(order: Any) -> None:
         obs, *_, info = env.step(actions.reshape(info["agents"].shape))
         moves += int(info["acted"].sum())
     assert result.agent_steps == moves
-    assert [row.problem for row in result.rows] == toy.names("validation")
+    assert [row.problem for row in result.rows] == list(toy.problems("validation"))
     costs, best, scores = [], 0, []
     for m, (problem, row) in enumerate(zip(toy.validation, result.rows, strict=True)):
         routes = evaluate(problem, env.engine.solution(m))

@@ -166,8 +166,8 @@ def test_the_loss_by_hand() -> None:
 @pytest.mark.parametrize("policy", ["greedy", "random"])
 def test_the_search_without_learning(policy: str) -> None:
     problem = generate(1, nets=40, max_pins=4, seed=5)[0]
-    single = GeneralistOptions(policy=policy, rounds=0, copies=1, keep=1)  # type: ignore[arg-type]
-    longer = GeneralistOptions(policy=policy, rounds=40, copies=3, seconds=None)  # type: ignore[arg-type]
+    single = GeneralistOptions(policy=policy, rounds=0)  # type: ignore[arg-type]
+    longer = GeneralistOptions(policy=policy, rounds=40, seconds=None)  # type: ignore[arg-type]
     first, more, again = (
         GeneralistRouter(options).solve(problem) for options in (single, longer, longer)
     )

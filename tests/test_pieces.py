@@ -240,7 +240,8 @@ def test_a_team_reward_accumulates_in_aec() -> None:
 @pytest.mark.parametrize("key", ["reached", "step", "own_edge", "overflow_price"])
 def test_rewards_that_float32_cannot_hold_are_refused(key: str) -> None:
     for value in (1e300, -1e300, float("nan")):
-        with pytest.raises(InputError, match=rf"^{key}: expected a number from -1e\+30 to 1e\+30$"):
+        expected = rf"^{key}: expected (-1e\+30 to 1e\+30|a number), found"
+        with pytest.raises(InputError, match=expected):
             PaperReward(**{key: value})
 
 

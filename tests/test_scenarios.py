@@ -103,7 +103,7 @@ def test_an_unknown_name_suggests_the_nearest() -> None:
 def test_the_problems_have_names(name: str) -> None:
     scenario = scenarios.get(name)
     for split, problems in (("validation", scenario.validation), ("test", scenario.test)):
-        assert scenario.names(split) == [f"{split}_{i:03d}" for i in range(len(problems))]
+        assert list(scenario.problems(split)) == [f"{split}_{i:03d}" for i in range(len(problems))]
         assert list(scenario.problems(split).values()) == problems
         assert all(problem.grid == scenario.grid for problem in problems)
     assert all(a is b for a, b in zip(scenario.test, scenario.test, strict=True))
@@ -115,7 +115,7 @@ def test_the_problems_have_names(name: str) -> None:
 def test_splits_without_end_or_existence_are_refused() -> None:
     toy = scenarios.get("toy-4x4-v0")
     with pytest.raises(InputError, match=r"^split: expected validation or test, found train"):
-        toy.names("train")
+        toy.problems("train")
     with pytest.raises(InputError, match=r"^split: expected one of train, validation, test"):
         toy.problems("tst")  # type: ignore[arg-type]
     for seed in (-1, 1.0, None, "1"):
@@ -676,7 +676,7 @@ def test_gymnasium_vectors() -> None:
     _, infos = envs.reset(seed=4)
     again = gymnasium.make_vec(ENVIRONMENT_ID, num_envs=3, scenario="toy-4x4-v0", split="test")
     assert list(infos["problem"]) == list(again.reset(seed=4)[1]["problem"])
-    assert set(infos["problem"]) <= set(scenarios.get("toy-4x4-v0").names("test"))
+    assert set(infos["problem"]) <= set(scenarios.get("toy-4x4-v0").problems("test"))
     envs.close()
 
 
@@ -684,7 +684,7 @@ def test_a_configuration_names_a_scenario(tmp_path: Path) -> None:
     path = tmp_path / "toy.yaml"
     path.write_text("env: {scenario: toy-4x4-v0, split: test, agents: multi}\n", encoding="utf-8")
     env = marouting.make(path)
-    assert set(names_played(env, 3)) <= set(scenarios.get("toy-4x4-v0").names("test"))
+    assert set(names_played(env, 3)) <= set(scenarios.get("toy-4x4-v0").problems("test"))
 
 
 def test_batches_of_a_scenario() -> None:
@@ -940,7 +940,7 @@ def training(folder: Path, **env: Any) -> Config:
 
 def test_a_training_takes_fixed_problems_side_by_side(tmp_path: Path) -> None:
     run = Run(training(tmp_path / "run", scenario="toy-4x4-v0", split="validation"))
-    assert list(run.problems) == scenarios.get("toy-4x4-v0").names("validation")
+    assert list(run.problems) == list(scenarios.get("toy-4x4-v0").problems("validation"))
     run.execute()
     kept = {path.stem for path in (tmp_path / "run" / "problems").glob("*.gr")}
     assert kept == set(run.problems)

@@ -328,7 +328,7 @@ def test_trainings_and_batches_take_them() -> None:
     ("reward", "message"),
     [
         ({"kind": "team", "opne": 1}, "reward.opne: unknown key; did you mean open"),
-        ({"kind": "potential", "gamma": 2}, "gamma: expected a number from 0 to 1"),
+        ({"kind": "potential", "gamma": 2}, "gamma: expected 0 to 1"),
         ({"kind": "mixed", "parts": []}, "parts: expected at least one reward"),
         ({"kind": "mixed", "parts": [{"kind": "tame"}]}, "parts.0: unknown reward 'tame'; did you"),
         ({"kind": "mixed", "parts": [{"weight": "much"}]}, "parts.0.weight: expected a finite"),

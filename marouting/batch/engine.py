@@ -47,31 +47,23 @@ def _reset(static: Static, dynamic: Dynamic, which: Any) -> None:
 
 
 @compiled
-def _move_turn(static: Static, dynamic: Dynamic, moves: Any) -> None:
-    """Makes ``moves`` (M,): in every problem the agent whose turn it is moves."""
+def _move(static: Static, dynamic: Dynamic, moves: Any, everyone: bool) -> None:
+    """Makes moves (M, N) of all agents, or (M, 1) of those whose turn it is."""
     for m in range(len(moves)):
-        move_player(static, dynamic, m, i64(moves[m]))
+        if everyone:
+            move_everyone(static, dynamic, m, moves)
+        else:
+            move_player(static, dynamic, m, i64(moves[m, 0]))
 
 
 @compiled
-def _settle_turn(static: Static, dynamic: Dynamic) -> None:
-    """After the moves of :func:`_move_turn`: next tasks start, and the turn passes."""
+def _settle(static: Static, dynamic: Dynamic, everyone: bool) -> None:
+    """After the moves of :func:`_move`: next tasks start, and the turn passes."""
     for m in range(len(dynamic.games)):
-        settle_player(static, dynamic, m)
-
-
-@compiled
-def _move_all(static: Static, dynamic: Dynamic, moves: Any) -> None:
-    """Makes ``moves`` (M, N): all agents of all problems move once, see :func:`move_everyone`."""
-    for m in range(len(moves)):
-        move_everyone(static, dynamic, m, moves)
-
-
-@compiled
-def _settle_all(static: Static, dynamic: Dynamic) -> None:
-    """After the moves of :func:`_move_all`: next tasks start, and the turn passes."""
-    for m in range(len(dynamic.games)):
-        settle_everyone(static, dynamic, m)
+        if everyone:
+            settle_everyone(static, dynamic, m)
+        else:
+            settle_player(static, dynamic, m)
 
 
 @compiled
@@ -301,11 +293,12 @@ class Engine:
         """
         moves = np.asarray(moves)
         self.check(moves)
-        (_move_turn if moves.ndim == 1 else _move_all)(self.static, self.dynamic, moves)
+        everyone = moves.ndim == 2
+        _move(self.static, self.dynamic, moves if everyone else moves[:, None], everyone)
 
     def settle(self, everyone: bool) -> None:
         """The second half of a step, of all agents or those whose turn it is: next tasks begin."""
-        (_settle_all if everyone else _settle_turn)(self.static, self.dynamic)
+        _settle(self.static, self.dynamic, everyone)
 
     def step(self, moves: NDArray[np.integer]) -> None:
         """Both halves of a step; arguments and errors are those of :meth:`move`."""

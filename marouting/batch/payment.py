@@ -12,6 +12,7 @@ import numpy as np
 from marouting.batch.bits import byte_of
 from marouting.batch.edges import demand_of, has_room, uses
 from marouting.batch.observation import paper_reward
+from marouting.batch.places import distance
 from marouting.batch.rules import may_move, move_agent, move_of
 from marouting.batch.state import Dynamic, Option, Static
 from marouting.batch.tasks import wait
@@ -77,8 +78,8 @@ def _move_one(
     own += _worth(prices, Share.MOVER, overflow, joined, wirelength)
     if prices[Share.NEARER, 0] != 0 and agent.crossing != Crossing.ANSWERED:
         target, now = as_index(agent.target), as_index(agent.cell)
-        own += prices[Share.NEARER, 0] * _distance(static, cell, target)
-        own -= prices[Share.NEARER, 1] * _distance(static, now, target)
+        own += prices[Share.NEARER, 0] * distance(static, cell, target)
+        own -= prices[Share.NEARER, 1] * distance(static, now, target)
     reward[m, paid] += own
     if first_walk:
         if releases:
@@ -97,15 +98,6 @@ def _move_one(
 def _worth(prices: Any, share: int, overflow: int, joined: int, wirelength: int) -> Any:
     """What a change of the problem's figures is worth."""
     return prices[share, 0] * overflow + prices[share, 1] * joined + prices[share, 2] * wirelength
-
-
-@inlined
-def _distance(static: Static, cell: int, target: int) -> Any:
-    """Moves between two Gcells on an empty grid."""
-    moves = i64(0)
-    for axis in range(AXES):
-        moves += abs(i64(static.position[cell, axis]) - i64(static.position[target, axis]))
-    return moves
 
 
 # --- the counterfactual reward --------------------------------------------------------------------
@@ -188,19 +180,9 @@ def _charge_for_failure(
 def _reach(
     static: Static, dynamic: Dynamic, cells: Any, m: int, n: int, without: int, size: int
 ) -> int:
-    """Adds the Gcells that agent n could reach from those in ``cells``, up to its target.
+    """Adds the Gcells that agent n could reach from ``size`` in ``cells``, up to its target.
 
-    Args:
-        static: the problems.
-        dynamic: the games.
-        cells: (M, 2, G), see :func:`_charge_for_failure`.
-        m: the problem.
-        n: the agent.
-        without: an agent whose edges are free, or NOBODY.
-        size: how many Gcells have been reached.
-
-    Returns:
-        How many have been reached now.
+    The edges of agent ``without``, if it is not NOBODY, are free. Returns how many there are now.
     """
     at, target = 0, i64(dynamic.agents[m, n].target)
     while at < size and not cells[m, 1, target]:

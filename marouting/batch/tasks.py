@@ -7,10 +7,11 @@ Steiner trees, "pin" stands for Steiner points as well.
 
 from marouting.batch.bits import byte_of, empty, has, put
 from marouting.batch.edges import uses
+from marouting.batch.places import distance
 from marouting.batch.state import Dynamic, Option, Static
 from marouting.game import NOBODY, Crossing, Ending
 from marouting.kernels import as_index, compiled, i64
-from marouting.problem.grid import AXES, MOVES
+from marouting.problem.grid import MOVES
 
 
 @compiled
@@ -85,11 +86,9 @@ def nearest_in_tree(static: Static, dynamic: Dynamic, m: int, n: int, pin: int) 
         cell = 8 * byte
         while bits != 0:
             if bits & 1:
-                distance = i64(0)
-                for axis in range(AXES):
-                    distance += abs(static.position[cell, axis] - static.position[pin, axis])
-                if (distance, cell) < (least, nearest):
-                    nearest, least = cell, distance
+                far = distance(static, cell, pin)
+                if (far, cell) < (least, nearest):
+                    nearest, least = cell, far
             bits >>= 1
             cell += 1
     return nearest, least
@@ -112,23 +111,15 @@ def is_later(static: Static, dynamic: Dynamic, m: int, n: int, task: int) -> boo
 def next_nearest(
     static: Static, dynamic: Dynamic, m: int, n: int, far: int, after: int
 ) -> tuple[int, int]:
-    """The later task whose pin is next in distance from the agent after ``far`` and task ``after``.
-
-    Returns:
-        The task and the distance of its pin; NOBODY if there is none.
-    """
+    """The later task, or NOBODY, whose pin is next after ``far`` and task ``after``; how far."""
     cell = as_index(dynamic.agents[m, n].cell)
     found, least = i64(NOBODY), i64(1 << 62)
     for task in range(i64(static.first[m, n]), i64(static.first[m, n + 1])):
         if not is_later(static, dynamic, m, n, i64(task)):
             continue
-        distance = i64(0)
-        for axis in range(AXES):
-            distance += abs(
-                static.position[static.tasks[task, 1], axis] - static.position[cell, axis]
-            )
-        if (distance, task) > (far, after) and distance < least:
-            found, least = i64(task), distance
+        away = distance(static, as_index(static.tasks[task, 1]), cell)
+        if (away, task) > (far, after) and away < least:
+            found, least = i64(task), away
     return found, least
 
 
@@ -145,9 +136,9 @@ def next_task(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
             continue
         if not nearest:
             return i64(task)
-        _, distance = nearest_in_tree(static, dynamic, m, n, i64(static.tasks[task, 1]))
-        if distance < least:
-            found, least = i64(task), distance
+        _, far = nearest_in_tree(static, dynamic, m, n, i64(static.tasks[task, 1]))
+        if far < least:
+            found, least = i64(task), far
     return found
 
 

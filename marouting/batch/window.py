@@ -43,14 +43,7 @@ Predicted demand is explained in :mod:`marouting.batch.expected`. The agent's ow
 The moves of environments are those of the grid, whatever the window's directions. :func:`mirrored`
 turns moves of the window into moves of the grid and back; :func:`move_order` does it for masks and
 values. Trainings and trained policies do so by themselves: their networks choose among the moves of
-the window and need not learn the mirror (:meth:`WindowObservation.move_order`)::
-
-    from marouting.batch.window import mirrored, move_order
-
-    env = BatchEnv(problems, observation={"kind": "window", "radius": 3})
-    obs, info = env.reset()
-    mask = np.take_along_axis(info["action_mask"], move_order(obs), -1)  # of the window
-    moves = mirrored(mask.argmax(-1), obs)  # of the grid
+the window and need not learn the mirror (:meth:`WindowObservation.move_order`).
 
 The **global state** (``state()`` of the environments and of the batch) has the same channels, for
 the whole grid, without a mirror; see :meth:`WindowObservation.state`.
@@ -69,7 +62,15 @@ from numpy.typing import NDArray
 
 from marouting.batch.bits import byte_of
 from marouting.batch.engine import Engine
-from marouting.batch.expected import Maps, maps_of, refresh, share_of, slack_of, squashed
+from marouting.batch.expected import (
+    Maps,
+    maps_of,
+    new_maps,
+    refresh,
+    share_of,
+    slack_of,
+    squashed,
+)
 from marouting.batch.mirror import engine_of
 from marouting.batch.places import grid_of, position
 from marouting.batch.state import Dynamic, Option, Static
@@ -78,17 +79,14 @@ from marouting.batch.window_rows import (
     SCALARS,
     Where,
     count_heads,
-    high,
-    low,
-    place,
     write_window,
 )
+from marouting.checks import check_fields
 from marouting.columns import Games, check_shapes
 from marouting.config import check
 from marouting.game import NOBODY, Status
 from marouting.kernels import as_index, compiled, i64, specialised
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
-from marouting.problem.net import is_whole
 from marouting.problem.problem import Problem
 from marouting.rules import MOST_BITS
 
@@ -137,11 +135,9 @@ class WindowObservation:
 
     def __post_init__(self) -> None:
         limits = {"radius": (0, MOST_RADIUS), "layers": (0, MOST_LAYERS)}
-        for name, (least, most) in {**limits, "message_bits": (1, MOST_BITS)}.items():
-            value, expected = getattr(self, name), f"{least} to {most}"
-            check(name, is_whole(value) and least <= value <= most, f"{expected}, found {value!r}")
-        given = tuple(self.channels)
-        once = len(set(given)) == len(given) > 0 and set(given) <= set(CHANNELS)
+        check_fields(self, message_bits=(1, MOST_BITS), **limits)
+        given = self.channels
+        once = len(set(given)) == len(given) > 0
         check("channels", once, f"some of {', '.join(CHANNELS)}, each once, found {given}")
 
     @property
@@ -221,15 +217,13 @@ class WindowObservation:
         """
         check_shapes(problems, agents, out, self.size)
         engine = engine_of(games)
-        known = engine.static, engine.dynamic
-        rows = self.where, problems, agents, out
-        arguments = *known, _heads_of(engine), *rows
+        maps = maps_of(engine) if "demand" in self.channels else _NO_MAPS
+        known = engine.static, engine.dynamic, _heads_of(engine), maps
+        arguments = *known, self.where, problems, agents, out
         plain = problems.dtype == agents.dtype == np.int32
         plain &= all(array.flags.c_contiguous for array in (problems, agents, out))
         if not (_bound_to(engine, arguments) if plain else _write_rows)(*arguments):
             raise ValueError(f"expected agents of the games, found {problems}, {agents}")
-        if "demand" in self.channels:
-            _write_demands(*known, maps_of(engine), *rows)
 
     def move_order(self, obs: NDArray[np.float32]) -> NDArray[np.int64]:
         """The moves on the grid that the moves of the window are, for what learns in the window.
@@ -287,6 +281,9 @@ def _heads_of(engine: Engine) -> NDArray[np.int32]:
     return found
 
 
+_NO_MAPS = new_maps((1, 1, 1, 1, 1))
+"""What is given where no predicted demand is shown."""
+
 _bound: WeakKeyDictionary[Engine, Callable[..., bool]] = WeakKeyDictionary()
 
 
@@ -334,24 +331,38 @@ def mirrored(moves: NDArray[np.integer], obs: NDArray[np.float32]) -> NDArray[np
 
 @compiled
 def _write_rows(
-    static: Static, dynamic: Dynamic, heads: Any, where: Where, problems: Any, agents: Any, out: Any
-) -> bool:
-    """Fills ``out`` (K, size) with all channels but ``demand``, which stays 0.
-
-    Returns:
-        Whether there are such agents.
-    """
+    static: Static, dynamic: Dynamic, heads: Any, maps: Maps, where: Where, problems: Any,
+    agents: Any, out: Any,
+) -> bool:  # fmt: skip
+    """Fills ``out`` (K, size); returns whether there are such agents."""
     counted = i64(NOBODY)
     for i in range(len(problems)):
         m, n = i64(problems[i]), i64(agents[i])
         if not (0 <= m < len(dynamic.games) and NOBODY <= n < dynamic.agents.shape[1]):
             return False
         m = as_index(m)
-        if max(where.heads, where.messages) >= 0 and m != counted:
-            count_heads(dynamic, heads, m)
+        if m != counted:
+            _prepare(static, dynamic, heads, maps, where, m)
             counted = m
-        write_window(static, dynamic, heads, where, m, n, out, i)
+        own = where.demand >= 0 and n != NOBODY and maps.counted[m, n, 0] != NOBODY
+        # Two turns instead of two calls, which would compile it twice.
+        for sign in range(-1, 2, 2):
+            if own:
+                _take_own(static, maps, where, m, n, as_index(dynamic.agents[m, n].cell), sign)
+            if sign < 0:
+                write_window(static, dynamic, heads, maps, where, m, n, out, i)
     return True
+
+
+@compiled
+def _prepare(
+    static: Static, dynamic: Dynamic, heads: Any, maps: Maps, where: Where, m: int
+) -> None:
+    """Brings up to date what the channels need of a problem."""
+    if where.demand >= 0:
+        refresh(static, dynamic, maps, m, i64(NOBODY))
+    if max(where.heads, where.messages) >= 0:
+        count_heads(dynamic, heads, m)
 
 
 @compiled
@@ -383,59 +394,6 @@ def _take_own(
                         maps.expected[m, at, axis] += share
 
 
-@compiled
-def _write_demand(
-    static: Static, dynamic: Dynamic, maps: Maps, where: Where, m: int, n: int, out: Any, row: int
-) -> None:
-    """Writes ``demand`` into a row in which it is 0."""
-    columns, rows, layers = grid_of(static)
-    agent = dynamic.agents[m, n]
-    target = as_index(agent.target)
-    x, y, z = position(static, as_index(agent.cell))
-    right = i64(static.position[target, 0] >= x)
-    up = i64(static.position[target, 1] >= y)
-    reach, deep = i64(where.radius), i64(where.layers)
-    side, depth = 2 * reach + 1, 2 * deep + 1
-    for axis in range(VIA_AXIS):
-        along_x, along_y = i64(axis == 0), i64(axis == 1)
-        begin = where.demand + axis * side * (side + 1) * depth
-        for gx in range(low(x, reach, along_x), high(x, reach, along_x, columns)):
-            i = place(i64(gx), x, reach, along_x, right)
-            for gy in range(low(y, reach, along_y), high(y, reach, along_y, rows)):
-                j = place(i64(gy), y, reach, along_y, up)
-                for gz in range(low(z, deep, i64(0)), high(z, deep, i64(0), layers)):
-                    at = as_index((gx * rows + gy) * layers + gz)
-                    remaining = dynamic.remaining[m, as_index(AXES * at + axis)]
-                    track = np.float32(max(static.demand[m, n, as_index(gz)], 1))
-                    slack = squashed(slack_of(maps, m, at, i64(axis), remaining, track))
-                    p = begin + (i * (side + along_y) + j) * depth + gz - z + deep
-                    out[row, as_index(p)] = slack
-
-
-@compiled
-def _write_demands(
-    static: Static, dynamic: Dynamic, maps: Maps, where: Where, problems: Any, agents: Any, out: Any
-) -> None:
-    """Writes ``demand`` into ``out`` (K, size), after :func:`_write_rows`."""
-    refreshed = i64(NOBODY)
-    for i in range(len(problems)):
-        m, n = as_index(problems[i]), i64(agents[i])
-        if n == NOBODY:
-            continue
-        n = as_index(n)
-        if m != refreshed:
-            refresh(static, dynamic, maps, m, i64(NOBODY))
-            refreshed = m
-        cell = as_index(dynamic.agents[m, n].cell)
-        counts = maps.counted[m, n, 0] != NOBODY
-        # Two turns instead of two calls, which would compile it twice.
-        for sign in range(-1, 2, 2):
-            if counts:
-                _take_own(static, maps, where, m, n, cell, sign)
-            if sign < 0:
-                _write_demand(static, dynamic, maps, where, m, n, out, i)
-
-
 # --- the global state -----------------------------------------------------------------------------
 
 
@@ -454,35 +412,25 @@ def write_window_state(
 ) -> None:
     """Fills ``out[m]`` (G, C)."""
     layers = maps.track.shape[1]
-    if where.demand >= 0:
-        refresh(static, dynamic, maps, m, i64(NOBODY))
-    if max(where.heads, where.messages) >= 0:
-        count_heads(dynamic, heads, m)
-    begin = i64(0)
+    _prepare(static, dynamic, heads, maps, where, m)
+    demand = VIA_AXIS * i64(where.capacity >= 0)
+    history = demand + VIA_AXIS * i64(where.demand >= 0)
+    begin = history + VIA_AXIS * i64(where.history >= 0)
     for cell in range(out.shape[1]):
         track = maps.track[m, cell % layers]
-        begin = 0
-        if where.capacity >= 0:
-            for axis in range(VIA_AXIS):
-                remaining = np.float32(dynamic.remaining[m, AXES * cell + axis])
-                out[m, cell, begin + axis] = squashed(remaining / track)
-            begin += VIA_AXIS
-        if where.demand >= 0:
-            for axis in range(VIA_AXIS):
-                remaining = dynamic.remaining[m, AXES * cell + axis]
-                slack = slack_of(maps, m, cell, axis, remaining, track)
-                out[m, cell, begin + axis] = squashed(slack)
-            begin += VIA_AXIS
-        if where.history >= 0:
-            for axis in range(VIA_AXIS):
-                out[m, cell, begin + axis] = 0
-                if static.options[Option.HISTORY] >= 0:
-                    at = as_index(static.options[Option.HISTORY] + AXES * cell + axis)
-                    history = np.float32(dynamic.numbers[m, at])
-                    out[m, cell, begin + axis] = squashed(history)
-            begin += VIA_AXIS
-        for channel in range(begin, out.shape[2]):
+        for channel in range(out.shape[2]):
             out[m, cell, channel] = 0
+        for axis in range(VIA_AXIS):
+            edge = as_index(AXES * cell + axis)
+            remaining = dynamic.remaining[m, edge]
+            if where.capacity >= 0:
+                out[m, cell, axis] = squashed(np.float32(remaining) / track)
+            if where.demand >= 0:
+                slack = slack_of(maps, m, cell, axis, remaining, track)
+                out[m, cell, demand + axis] = squashed(slack)
+            if where.history >= 0 and static.options[Option.HISTORY] >= 0:
+                rounds = dynamic.numbers[m, as_index(static.options[Option.HISTORY] + edge)]
+                out[m, cell, history + axis] = squashed(np.float32(rounds))
     pins = begin + AXES * i64(where.own >= 0)
     for n in range(dynamic.agents.shape[1]):
         if where.own >= 0:
@@ -503,8 +451,6 @@ def write_window_state(
     bits = i64(where.bits) if where.messages >= 0 else i64(0)
     end = out.shape[2] - bits
     for cell in range(out.shape[1]):
-        bits = i64(where.bits) if where.messages >= 0 else i64(0)
-        end = out.shape[2] - bits
         if where.heads >= 0:
             out[m, cell, end - 1] = heads[m, cell]
         for channel in range(begin, end):

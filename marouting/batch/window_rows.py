@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from marouting.batch.bits import byte_of
-from marouting.batch.expected import squashed
+from marouting.batch.expected import Maps, slack_of, squashed
 from marouting.batch.places import grid_of, position
 from marouting.batch.rules import free_moves
 from marouting.batch.state import Dynamic, Option, Static
@@ -105,67 +105,62 @@ def _bits(number: int) -> int:
 # --- channels -------------------------------------------------------------------------------------
 
 
+CAPACITY, DEMAND, HISTORY, HEADS, MESSAGES = range(5)
+"""Channels whose numbers are looked up by edge or Gcell; bit k of messages is MESSAGES + k."""
+
+At = tuple[int, int, int, int, int]
+"""Where an agent is: x, y and z; then 1 if the window's +x and +y are those of the grid, else 0."""
+
+
 @inlined
-def _write_edges(
-    static: Static,
-    dynamic: Dynamic,
-    where: Where,
-    m: int,
-    n: int,
-    axis: int,
-    x: int,
-    y: int,
-    z: int,
-    right: int,
-    up: int,
-    history: int,
-    begin: int,
-    out: Any,
-    row: int,
-) -> None:
-    """Writes a block of ``capacity``, or of ``history``, whose numbers begin at ``history``."""
+def _write_block(
+    static: Static, dynamic: Dynamic, heads: Any, maps: Maps, where: Where, m: int, n: int, at: At,
+    what: int, kind: int, begin: int, out: Any, row: int,
+) -> None:  # fmt: skip
+    """Writes a block of a channel, of edges along an axis or (``kind`` is AXES) of Gcells."""
     columns, rows, layers = grid_of(static)
+    x, y, z, right, up = at
     reach, deep = i64(where.radius), i64(where.layers)
-    along_x, along_y = i64(axis == 0), i64(axis == 1)
+    along_x, along_y = i64(kind == 0), i64(kind == 1)
     height, depth = 2 * reach + 1 + along_y, 2 * deep + 1
     low_y, high_y = low(y, reach, along_y), high(y, reach, along_y, rows)
     first = place(low_y, y, reach, along_y, up)
     step = depth if up else -depth
+    history = i64(static.options[Option.HISTORY])
     for gz in range(low(z, deep, i64(0)), high(z, deep, i64(0), layers)):
         track = max(i64(static.demand[m, n, as_index(gz)]), 1)
         for gx in range(low(x, reach, along_x), high(x, reach, along_x, columns)):
             column = place(i64(gx), x, reach, along_x, right)
             p = begin + (column * height + first) * depth + gz - z + deep
-            edge = AXES * ((gx * rows + low_y) * layers + gz) + axis
+            cell = (gx * rows + low_y) * layers + gz
             for chunk in range(low_y, high_y, _CHUNK):
                 left = _bits(high_y - chunk)
                 while left != 0:
-                    if history < 0:
-                        remaining = i64(dynamic.remaining[m, as_index(edge)])
-                        out[row, as_index(p)] = _tracks(remaining, track)
+                    edge = AXES * cell + kind
+                    if what == CAPACITY:
+                        value = _tracks(i64(dynamic.remaining[m, as_index(edge)]), track)
+                    elif what == HEADS:
+                        value = squashed_whole(i64(heads[m, as_index(cell)]))
+                    elif what == HISTORY:
+                        value = squashed_whole(i64(dynamic.numbers[m, as_index(history + edge)]))
+                    elif what == DEMAND:
+                        remaining = dynamic.remaining[m, as_index(edge)]
+                        wide = np.float32(track)
+                        value = squashed(slack_of(maps, m, as_index(cell), kind, remaining, wide))
                     else:
-                        rounds = i64(dynamic.numbers[m, as_index(history + edge)])
-                        out[row, as_index(p)] = squashed_whole(rounds)
-                    edge, p, left = edge + AXES * layers, p + step, left >> 1
+                        message = i64(heads[m, as_index(columns * rows * layers + cell)])
+                        value = np.float32(message >> (what - MESSAGES) & 1)
+                    out[row, as_index(p)] = value
+                    cell, p, left = cell + layers, p + step, left >> 1
 
 
 @inlined
 def _write_own(
-    static: Static,
-    dynamic: Dynamic,
-    where: Where,
-    m: int,
-    n: int,
-    x: int,
-    y: int,
-    z: int,
-    right: int,
-    up: int,
-    out: Any,
-    row: int,
+    static: Static, dynamic: Dynamic, where: Where, m: int, n: int, at: At, out: Any, row: int
 ) -> None:
     """Writes ``own``: the bits of a column of the grid that touches the window are side by side."""
     columns, rows, layers = grid_of(static)
+    x, y, z, right, up = at
     reach, deep = i64(where.radius), i64(where.layers)
     side, depth = 2 * reach + 1, 2 * deep + 1
     block = side * (side + 1) * depth
@@ -191,88 +186,11 @@ def _write_own(
 
 
 @inlined
-def _write_heads(
-    static: Static,
-    heads: Any,
-    where: Where,
-    m: int,
-    x: int,
-    y: int,
-    z: int,
-    right: int,
-    up: int,
-    active: int,
-    out: Any,
-    row: int,
-) -> None:
-    """Writes ``heads``."""
-    columns, rows, layers = grid_of(static)
-    reach, deep = i64(where.radius), i64(where.layers)
-    side, depth = 2 * reach + 1, 2 * deep + 1
-    low_y, high_y = low(y, reach, i64(0)), high(y, reach, i64(0), rows)
-    first = place(low_y, y, reach, i64(0), up)
-    step = depth if up else -depth
-    for gz in range(low(z, deep, i64(0)), high(z, deep, i64(0), layers)):
-        for gx in range(low(x, reach, i64(0)), high(x, reach, i64(0), columns)):
-            column = place(i64(gx), x, reach, i64(0), right)
-            p = where.heads + (column * side + first) * depth + gz - z + deep
-            cell = (gx * rows + low_y) * layers + gz
-            for chunk in range(low_y, high_y, _CHUNK):
-                left = _bits(high_y - chunk)
-                while left != 0:
-                    out[row, as_index(p)] = squashed_whole(i64(heads[m, as_index(cell)]))
-                    cell, p, left = cell + layers, p + step, left >> 1
-    here = as_index((x * rows + y) * layers + z)
-    middle = where.heads + (reach * side + reach) * depth + deep
-    out[row, as_index(middle)] = squashed_whole(heads[m, here] - active)
-
-
-@inlined
-def _write_messages(
-    static: Static,
-    heads: Any,
-    where: Where,
-    m: int,
-    x: int,
-    y: int,
-    z: int,
-    right: int,
-    up: int,
-    out: Any,
-    row: int,
-) -> None:
-    """Writes ``messages``."""
-    columns, rows, layers = grid_of(static)
-    reach, deep = i64(where.radius), i64(where.layers)
-    side, depth = 2 * reach + 1, 2 * deep + 1
-    for gx in range(low(x, reach, i64(0)), high(x, reach, i64(0), columns)):
-        i = place(i64(gx), x, reach, i64(0), right)
-        for gy in range(low(y, reach, i64(0)), high(y, reach, i64(0), rows)):
-            j = place(i64(gy), y, reach, i64(0), up)
-            for gz in range(low(z, deep, i64(0)), high(z, deep, i64(0), layers)):
-                cell = (gx * rows + gy) * layers + gz
-                p = where.messages + (i * side + j) * depth + gz - z + deep
-                message = i64(heads[m, as_index(columns * rows * layers + cell)])
-                for bit in range(where.bits):
-                    out[row, as_index(p + bit * side * side * depth)] = message >> bit & 1
-
-
-@inlined
 def _write_pins(
-    static: Static,
-    dynamic: Dynamic,
-    where: Where,
-    m: int,
-    n: int,
-    x: int,
-    y: int,
-    z: int,
-    right: int,
-    up: int,
-    out: Any,
-    row: int,
+    static: Static, dynamic: Dynamic, where: Where, m: int, n: int, at: At, out: Any, row: int
 ) -> None:
     """Writes ``pins`` of an active agent."""
+    x, y, z, right, up = at
     reach, deep = i64(where.radius), i64(where.layers)
     side, depth = 2 * reach + 1, 2 * deep + 1
     agent = dynamic.agents[m, n]
@@ -318,13 +236,13 @@ def write_numbers(static: Static, dynamic: Dynamic, m: int, n: int, out: Any, ro
 
 @inlined
 def write_window(
-    static: Static, dynamic: Dynamic, heads: Any, where: Where, m: int, n: int, out: Any, row: int
-) -> None:
+    static: Static, dynamic: Dynamic, heads: Any, maps: Maps, where: Where, m: int, n: int,
+    out: Any, row: int,
+) -> None:  # fmt: skip
     """Fills a row of ``out`` (K, size) with what an agent sees; zeros for NOBODY.
 
-    The channel ``demand`` stays 0.
-
-    ``heads`` is as :func:`count_heads` leaves it, and read only for its channel and ``messages``.
+    ``heads`` is as :func:`count_heads` leaves it, ``maps`` without what the agent itself is
+    expected to take; they are read only for their channels.
     """
     for f in range(out.shape[1]):
         out[row, f] = 0
@@ -338,26 +256,32 @@ def write_window(
     x, y, z = position(static, cell)
     right = i64(static.position[target, 0] >= x)
     up = i64(static.position[target, 1] >= y)
-    side = 2 * i64(where.radius) + 1
-    block = side * (side + 1) * (2 * i64(where.layers) + 1)
-    # One loop over the blocks instead of four calls, which would compile everything four times.
-    for turn in range(2 * VIA_AXIS):
-        axis, begin, history = i64(turn % VIA_AXIS), i64(where.capacity), i64(NOBODY)
-        if turn >= VIA_AXIS:
-            begin, history = i64(where.history), i64(static.options[Option.HISTORY])
-        if begin >= 0 and (turn < VIA_AXIS or history >= 0):
-            begin += block * axis
-            _write_edges(
-                static, dynamic, where, m, n, axis, x, y, z, right, up, history, begin, out, row
+    at = x, y, z, right, up
+    side, depth = 2 * i64(where.radius) + 1, 2 * i64(where.layers) + 1
+    # One loop over the blocks instead of many calls, each of which would compile everything again.
+    for turn in range(2 * HEADS + 1 + i64(where.bits)):
+        what, kind, begin = i64(turn // 2), i64(turn % 2), i64(where.capacity)
+        size = side * (side + 1) * depth * kind
+        if turn >= 2 * HEADS:  # a block of Gcells
+            what, kind = i64(turn - HEADS), i64(AXES)
+            begin, size = i64(where.heads), i64(0)
+        if what == DEMAND:
+            begin = i64(where.demand)
+        elif what == HISTORY:
+            begin = i64(where.history if static.options[Option.HISTORY] >= 0 else NOBODY)
+        elif what >= MESSAGES:
+            begin, size = i64(where.messages), side * side * depth * (what - MESSAGES)
+        if begin >= 0:
+            _write_block(
+                static, dynamic, heads, maps, where, m, n, at, what, kind, begin + size, out, row
             )
-    if where.own >= 0:
-        _write_own(static, dynamic, where, m, n, x, y, z, right, up, out, row)
-    if where.pins >= 0 and active:
-        _write_pins(static, dynamic, where, m, n, x, y, z, right, up, out, row)
     if where.heads >= 0:
-        _write_heads(static, heads, where, m, x, y, z, right, up, active, out, row)
-    if where.messages >= 0:
-        _write_messages(static, heads, where, m, x, y, z, right, up, out, row)
+        middle = where.heads + (side * side // 2) * depth + where.layers
+        out[row, as_index(middle)] = squashed_whole(i64(heads[m, cell]) - active)
+    if where.own >= 0:
+        _write_own(static, dynamic, where, m, n, at, out, row)
+    if where.pins >= 0 and active:
+        _write_pins(static, dynamic, where, m, n, at, out, row)
 
 
 @compiled

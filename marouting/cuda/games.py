@@ -309,7 +309,7 @@ def see_window(
     static: Static, dynamic: Dynamic, look: Surroundings, m: int, n: int, out: Any, row: int
 ) -> None:
     """Writes what an agent sees by the observation ``window``."""
-    write_window(static, dynamic, look.heads, look.where, m, n, out, row)
+    write_window(static, dynamic, look.heads, look.maps, look.where, m, n, out, row)
 
 
 @kernels.inlined

@@ -90,7 +90,12 @@ class GlobalRoutingAEC(NetEnv, AECEnv):
                 self.infos[agent] = {self._mask_key: self._mask(self._number[agent])} | told
             return
         game, n = self.game, self._number[agent]
-        paid = self._move(n, checked_move(action, self._actions))
+        move = checked_move(action, self._actions)
+        if self._pays_mover:
+            game.move(n, move)
+            paid = self._reward.pay(game, n)
+        else:
+            paid = self._move(n, move)
         if game.ending[n]:
             self._ended[agent] = self._task_end(n)
             game.settle(n)
@@ -123,9 +128,11 @@ class GlobalRoutingAEC(NetEnv, AECEnv):
 
     def _info(self, agent: str, n: int) -> dict[str, Any]:
         """The info of agent n during its episode."""
-        info: dict[str, Any] = {self._mask_key: self._mask(n)}
+        info: dict[str, Any]
         if self._persists:
-            info["active"] = self._is_active(n)
+            info = {self._mask_key: self._mask(n), "active": self._is_active(n)}
+        else:  # as in _mask, without another call
+            info = {self._mask_key: self._masks[self.game.free_moves(n)].copy()}
         if agent in self._ended:
             info |= self._ended[agent]
         return info

@@ -46,6 +46,7 @@ class GameEnv(EzPickle):
     """
 
     game_class: ClassVar[type[Game]] = Game
+    render_mode: str | None
     _episode: ClassVar[tuple[str, ...]]
     """The attributes of an interface that change during an episode."""
 
@@ -176,7 +177,8 @@ class GameEnv(EzPickle):
 
     def _shown(self, agent: int) -> Any:
         """A new observation of one agent, in the form that the options ask for."""
-        seen = self._see(agent)
+        plainly = self._sees_plainly and agent != NOBODY  # as in _see, without another call
+        seen = self._observation.see(self.game, agent) if plainly else self._see(agent)
         return self._with_mask(seen, self._mask(agent)) if self._masked else seen
 
     def _with_mask(self, observation: NDArray[np.float32], mask: NDArray[np.int8]) -> Any:

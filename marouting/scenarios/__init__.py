@@ -10,19 +10,7 @@ Problems are drawn by a generator from seeds, the same on every machine; only th
 is known about the best solution of each validation and test problem, are stored. What a ``-v0``
 gives never changes: a changed scenario gets a new version. ``docs/scenarios.md`` compares them.
 
-Your own generator becomes a scenario by :func:`register`::
-
-    from marouting import Field, scenarios
-
-    def corridor(rng):
-        field = Field(6, 4).wall(right_of=2).gate(right_of=2, row=int(rng.integers(4)), tracks=2)
-        for row in rng.integers(4, size=(2, 2)).tolist():
-            field.net((0, row[0]), (5, row[1]))
-        return field.problem()
-
-    scenarios.register("corridor-v0", corridor, env={"turn_order": "round_robin"})
-    env = marouting.global_routing_v0.parallel_env(scenario="corridor-v0")
-
+Your own generator becomes a scenario by :func:`register`; docs/scenarios.md has an example.
 Where options or commands name a scenario, ``module:NAME`` stands for one in a module of yours.
 """
 

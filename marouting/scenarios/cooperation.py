@@ -11,7 +11,7 @@ import numpy as np
 
 from marouting.problem.field import Field
 from marouting.problem.problem import Problem
-from marouting.scenarios.planning import RandomNets
+from marouting.scenarios.planning import RandomNets, random_nets
 from marouting.scenarios.scenario import Scenario, routable
 
 Range = tuple[int, int]  # the least and the largest value, both included
@@ -197,15 +197,7 @@ def _once(
     name: str, description: str, draw: RandomNets, env: dict[str, Any], **options: Any
 ) -> Scenario:
     """A scenario of random nets that is played once."""
-    return Scenario(
-        name,
-        draw,
-        description=description,
-        accept=routable,
-        largest=draw.largest,
-        env=env,
-        **{**SIZES, **options},
-    )
+    return random_nets(name, description, draw, env=env, mirrors=True, **{**SIZES, **options})
 
 
 SIZES: dict[str, Any] = {"validation": 50, "test": 100}

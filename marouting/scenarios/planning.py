@@ -52,34 +52,27 @@ class RandomNets:
         return generate_from(options)[0]
 
 
-def _random_nets(
+def random_nets(
     name: str, description: str, draw: RandomNets, *, feasible: bool = True, **options: Any
 ) -> Scenario:
-    """A scenario of random nets; its mirror images are not held out, as in its first version."""
+    """A scenario of random nets; those for planners do not hold out mirror images."""
     accept = routable if feasible else None
-    return Scenario(
-        name,
-        draw,
-        description=description,
-        accept=accept,
-        largest=draw.largest,
-        mirrors=False,
-        **options,
-    )
+    known = {"description": description, "accept": accept, "largest": draw.largest}
+    return Scenario(name, draw, **{"mirrors": False, **known, **options})
 
 
 PLANNING = (
-    _random_nets(
+    random_nets(
         "toy-4x4-v0",
         "Five two-pin nets with one track per edge, to be learnt in minutes.",
         RandomNets(grid=(4, 4, 2), nets=(5, 5), max_pins=(2, 2), capacity=(1, 1)),
     ),
-    _random_nets(
+    random_nets(
         "two-pin-8x8-v0",
         "Fifty two-pin nets that just fit.",
         RandomNets(grid=(8, 8, 2), nets=(50, 50), max_pins=(2, 2), capacity=(4, 4)),
     ),
-    _random_nets(
+    random_nets(
         "paper-table2-row3-v0",
         "The paper's problems of fifty two-pin nets and three reduced edges "
         "(Liao et al. 2019, table 2, row 3).",
@@ -87,24 +80,24 @@ PLANNING = (
             grid=(8, 8, 2), nets=(50, 50), max_pins=(2, 2), capacity=(5, 5), reduced_edges=3
         ),
     ),
-    _random_nets(
+    random_nets(
         "multi-pin-8x8-v0",
         "Thirty nets of up to five pins that just fit.",
         RandomNets(grid=(8, 8, 2), nets=(30, 30), max_pins=(5, 5), capacity=(4, 4)),
     ),
-    _random_nets(
+    random_nets(
         "mixed-v0",
         "Problems that differ in nets, pins and capacity, on one grid of three layers.",
         RandomNets(grid=(10, 10, 3), nets=(20, 60), max_pins=(2, 5), capacity=(3, 5)),
     ),
-    _random_nets(
+    random_nets(
         "large-64x64-v0",
         "A thousand nets of up to four pins on a grid of 8192 Gcells.",
         RandomNets(grid=(64, 64, 2), nets=(1000, 1000), max_pins=(4, 4), capacity=(16, 16)),
         validation=5,
         test=10,
     ),
-    _random_nets(
+    random_nets(
         "tight-16x16-v0",
         "A hundred two-pin nets that do not fit: overflow is to be as small as can be.",
         RandomNets(grid=(16, 16, 2), nets=(100, 100), max_pins=(2, 2), capacity=(3, 3)),
@@ -112,7 +105,7 @@ PLANNING = (
         test=20,
         feasible=False,
     ),
-    _random_nets(
+    random_nets(
         "tight-32x32-v0",
         "Five hundred nets of up to four pins that nearly fit, if at all.",
         RandomNets(grid=(32, 32, 2), nets=(500, 500), max_pins=(4, 4), capacity=(11, 11)),

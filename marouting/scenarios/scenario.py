@@ -124,16 +124,8 @@ class Scenario:
         """The test problems, the same objects every time."""
         return list(self._fixed["test"].values())
 
-    def names(self, split: Split) -> list[str]:
-        """The names of the problems of a split, such as ``test_000``.
-
-        Raises:
-            InputError: it is neither ``validation`` nor ``test``.
-        """
-        return list(self.problems(split))
-
     def problems(self, split: Split) -> dict[str, Problem]:
-        """The problems of a split by their names.
+        """The problems of a split by their names, such as ``test_000``.
 
         Raises:
             InputError: it is neither ``validation`` nor ``test``.

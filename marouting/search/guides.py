@@ -60,6 +60,7 @@ class AStar:
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
         self._buffers = search_buffers(engine.grid)
+        self._route = np.zeros((*engine.nets.shape, 0), np.uint8)
 
     def moves(self, problems: NDArray[np.integer], agents: NDArray[np.integer]) -> NDArray[np.int8]:
         """The next moves of K agents, which the caller may make or not.
@@ -73,11 +74,11 @@ class AStar:
         """
         out = np.empty(len(problems), np.int8)
         engine = self._engine
-        _first_moves(engine.static, engine.dynamic, self._buffers, problems, agents, out)
+        _moves(engine.static, engine.dynamic, self._buffers, self._route, problems, agents, out)
         return out
 
 
-class RouteFollower:
+class RouteFollower(AStar):
     """Moves along the routes of solutions in a running game.
 
     An agent takes the shortest way along its net's route to the target of its task. Where the route
@@ -99,11 +100,8 @@ class RouteFollower:
             raise InputError(
                 f"replay: expected {len(engine.problems)} solutions, found {len(solutions)}"
             )
-        self._engine = engine
-        self._buffers = search_buffers(engine.grid)
-        count, agents = engine.nets.shape
-        bytes_ = -(-engine.static.capacity.shape[1] // 8)
-        self._route = np.zeros((count, agents, bytes_), np.uint8)
+        super().__init__(engine)
+        self._route = np.zeros_like(engine.dynamic.used)
         for m, (problem, solution) in enumerate(zip(engine.problems, solutions, strict=True)):
             own = solution.problem
             if (own.grid, own.nets) != (problem.grid, problem.nets):
@@ -114,13 +112,6 @@ class RouteFollower:
             net, edge = solution.uses
             edge, n = edge[agent[net] != NOBODY], agent[net][agent[net] != NOBODY]
             put_numbers(self._route, m, n, edge)
-
-    def moves(self, problems: NDArray[np.integer], agents: NDArray[np.integer]) -> NDArray[np.int8]:
-        """The next moves of K agents; see :meth:`AStar.moves`."""
-        out = np.empty(len(problems), np.int8)
-        engine = self._engine
-        _follow(engine.static, engine.dynamic, self._buffers, self._route, problems, agents, out)
-        return out
 
 
 @compiled
@@ -153,27 +144,7 @@ def shortest_path(
 
 
 @compiled
-def _first_move(static: Static, dynamic: Dynamic, s: SearchBuffers, m: int, n: int) -> int:
-    """An active agent's first move on a cheapest path to its target."""
-    agent = dynamic.agents[m, n]
-    shortest_path(static, dynamic, s, m, n, as_index(agent.cell), as_index(agent.target))
-    return i64(s.search.path[0])
-
-
-@compiled
-def _first_moves(
-    static: Static, dynamic: Dynamic, s: SearchBuffers, problems: Any, agents: Any, out: Any
-) -> None:
-    """Writes the moves of agents (K,) of problems (K,) to ``out`` (K,) int8."""
-    for i in range(len(problems)):
-        m, n = i64(problems[i]), i64(agents[i])
-        out[i] = NOBODY
-        if n != NOBODY and dynamic.agents[m, n].status == Status.ACTIVE:
-            out[i] = _first_move(static, dynamic, s, m, n)
-
-
-@compiled
-def _follow(
+def _moves(
     static: Static,
     dynamic: Dynamic,
     s: SearchBuffers,
@@ -182,16 +153,20 @@ def _follow(
     agents: Any,
     out: Any,
 ) -> None:
-    """Writes moves along routes, rows of bits like ``dynamic.used``; see :func:`_first_moves`."""
+    """Writes the moves of agents (K,); routes, if any, are rows of bits like ``dynamic.used``."""
     for i in range(len(problems)):
         m, n = i64(problems[i]), i64(agents[i])
         out[i] = NOBODY
         if n == NOBODY or dynamic.agents[m, n].status != Status.ACTIVE:
             continue
+        agent = dynamic.agents[m, n]
         s.net[0] += 1
-        out[i] = move_along(static, dynamic, m, n, route, m, s.reached, s.seen, s.net[0])
+        if route.shape[2] > 0:
+            out[i] = move_along(static, dynamic, m, n, route, m, s.reached, s.seen, s.net[0])
         if out[i] == NOBODY:
-            out[i] = _first_move(static, dynamic, s, m, n)
+            cell, target = as_index(agent.cell), as_index(agent.target)
+            _ = shortest_path(static, dynamic, s, m, n, cell, target)
+            out[i] = s.search.path[0]
 
 
 @compiled

@@ -30,6 +30,7 @@ from torch import Tensor
 
 from marouting import Problem, Solution
 from marouting.batch.prices import UNIT
+from marouting.checks import check_fields
 from marouting.config import MOST, Named, check, piece_field, take_pieces
 from marouting.game import NOBODY
 from marouting.kernels import compiled
@@ -109,14 +110,11 @@ class ImitationOptions:
 
     def __post_init__(self) -> None:
         take_pieces(self)
+        bounds = dict.fromkeys(("memory", "batch", "passes"), (1, MOST))
+        bounds |= dict.fromkeys(("expert_fraction", "drawn", "expert_moves", "plain"), (0, 1))
+        check_fields(self, reuse=(0, np.inf), regret=(0, np.inf), **bounds)
         check("learning_rate", self.learning_rate > 0, "a number above 0")
-        check("memory", 1 <= self.memory <= MOST, f"a number from 1 to {MOST}")
-        check("batch", 1 <= self.batch <= self.memory, f"a number from 1 to memory, {self.memory}")
-        check("reuse", self.reuse >= 0, "a number from 0")
-        check("regret", self.regret >= 0, "a number from 0")
-        for name in ("expert_fraction", "drawn", "expert_moves", "plain"):
-            check(name, 0 <= getattr(self, name) <= 1, "a number from 0 to 1")
-        check("passes", 1 <= self.passes <= MOST, f"a number from 1 to {MOST}")
+        check("batch", self.batch <= self.memory, f"a number from 1 to memory, {self.memory}")
         check("masking", self.masking, "true: the expert makes no other moves")
 
 

@@ -67,18 +67,17 @@ from marouting.batch.edges import demand_of, uses
 from marouting.batch.engine import Engine
 from marouting.batch.expected import Maps, maps_of, refresh, slack_of, squashed
 from marouting.batch.mirror import engine_of
-from marouting.batch.places import grid_of, position
+from marouting.batch.places import distance, grid_of, position
 from marouting.batch.prices import UNIT, edge_cost, is_priced, price_of
 from marouting.batch.state import Dynamic, Option, Static
 from marouting.batch.tasks import holds, is_later, is_on, next_nearest
 from marouting.batch.window import MOST_RADIUS, move_order
 from marouting.batch.window_rows import write_numbers
+from marouting.checks import check_fields
 from marouting.columns import Games, check_rows
-from marouting.config import check
 from marouting.game import NOBODY, Crossing
 from marouting.kernels import as_index, compiled, i64
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
-from marouting.problem.net import is_whole
 from marouting.problem.problem import Problem
 
 _NUMBERS, _DETOURS, _CROSSED, _PIN, _PINS = 16, 12, 8, 8, 5
@@ -97,20 +96,19 @@ _BUCKETS = 1024  # more than any edge costs
 _FARTHEST = 2**30
 _KEY, _SIZE, _WAITING = range(3)  # the cost that comes next; entries made; of these, in buckets
 _MOST_FAR = np.float32(4)
+_FACTOR = -0x61C8864680B583EB  # of the digest: the golden ratio, in 64 bits
 
 
 class Ways(NamedTuple):
     """Working arrays of the searches, and what the last ones have found."""
 
+    radius: int  # see OutlookObservation
+    margin: int
     cost: NDArray[np.int32]  # (M, 2, G) of the cheapest way to the end, in parts of _UNIT
     end: NDArray[np.int32]  # (M, G) the Gcell that it ends in, with the capacity there is
-    low: NDArray[np.int32]  # (M, 2) the box that was searched, in x and y
+    low: NDArray[np.int32]  # (M, 2) the box that is searched, in x and y
     high: NDArray[np.int32]  # (M, 2)
-    found: NDArray[np.int32]  # (M, 4) the agent, task and margin that this is for, and what one net
-    # too many costs in a priced round (NOBODY in others); NOBODY, …: unknown
-    room: NDArray[np.int32]  # (M, G, 2) what it was found from: capacity towards +x and +y
-    price: NDArray[np.int32]  # (M, G, 2) the prices there, if edges may have them
-    load: NDArray[np.int64]  # (M, G, 2) and the demand that was expected there
+    found: NDArray[np.int64]  # (M,) the digest of what this was found from; 0: unknown
     kinds: NDArray[np.int32]  # (M,) how many searches there are: 1 if nothing is scarce
     front: NDArray[np.int64]  # (M, 2, 3) how far they are: _KEY, _SIZE, _WAITING
     head: NDArray[np.int32]  # (M, 2, 1024) the first entry of each bucket
@@ -131,21 +129,20 @@ _ways: WeakKeyDictionary[Engine, tuple[Ways, NDArray[np.int64]]] = WeakKeyDictio
 places they are of."""
 
 
-def ways_of(engine: Engine) -> Ways:
+def ways_of(engine: Engine, observation: "OutlookObservation") -> Ways:
     """The working arrays for an engine, new ones if it has none yet."""
     known = _ways.get(engine)
     if known is None:
         m, cells = len(engine.games), engine.grid.gcells
         entries = (MOVES + 1) * cells
         ways = Ways(
+            radius=0,
+            margin=0,
             cost=np.full((m, 2, cells), _FARTHEST, np.int32),
             end=np.zeros((m, cells), np.int32),
             low=np.zeros((m, 2), np.int32),
             high=np.zeros((m, 2), np.int32),
-            found=np.full((m, 4), NOBODY, np.int32),
-            room=np.zeros((m, cells, VIA_AXIS), np.int32),
-            price=np.zeros((m, cells * engine.priced, VIA_AXIS), np.int32),
-            load=np.zeros((m, cells, VIA_AXIS), np.int64),
+            found=np.zeros(m, np.int64),
             kinds=np.zeros(m, np.int32),
             front=np.zeros((m, 2, 3), np.int64),
             head=np.full((m, 2, _BUCKETS), NOBODY, np.int32),
@@ -162,9 +159,9 @@ def ways_of(engine: Engine) -> Ways:
         known = _ways[engine] = ways, np.full(m, NOBODY, np.int64)
     ways, of = known
     if (of != engine.replaced).any():
-        ways.found[of != engine.replaced] = NOBODY
+        ways.found[of != engine.replaced] = 0
         of[:] = engine.replaced
-    return ways
+    return ways._replace(radius=observation.radius, margin=observation.margin)
 
 
 @dataclass(frozen=True)
@@ -180,10 +177,7 @@ class OutlookObservation:
     margin: int = 3
 
     def __post_init__(self) -> None:
-        for name, least, most in (("radius", 0, MOST_RADIUS), ("margin", 1, 2**16)):
-            value = getattr(self, name)
-            within = is_whole(value) and least <= value <= most
-            check(name, within, f"{least} to {most}, found {value!r}")
+        check_fields(self, radius=(0, MOST_RADIUS), margin=(1, 2**16))
 
     @cached_property
     def layout(self) -> dict[str, slice]:
@@ -234,8 +228,8 @@ class OutlookObservation:
         """
         check_rows(games, problems, agents, out, self.size)
         engine = engine_of(games)
-        known = engine.static, engine.dynamic, maps_of(engine), ways_of(engine)
-        _write(*known, self.radius, self.margin, problems, agents, out)
+        known = engine.static, engine.dynamic, maps_of(engine), ways_of(engine, self)
+        _write(*known, problems, agents, out)
 
     def move_order(self, obs: NDArray[np.float32]) -> NDArray[np.int64]:
         """The moves on the grid that the moves of the frame are, for what learns in the frame.
@@ -254,16 +248,9 @@ class OutlookObservation:
 
 @compiled
 def _edge_cost(
-    static: Static,
-    dynamic: Dynamic,
-    maps: Maps,
-    m: int,
-    n: int,
-    cell: int,
-    move: int,
-    scarcity: bool,
+    static: Static, dynamic: Dynamic, maps: Maps, m: int, n: int, cell: int, move: int, slack: bool
 ) -> int:
-    """What the edge that a move crosses costs a net; ``scarcity``: predicted slack counts."""
+    """What the edge that a move crosses costs a net; ``slack``: whether predicted slack counts."""
     axis = move // 2
     if axis == VIA_AXIS:
         return i64(_UNIT)
@@ -276,7 +263,7 @@ def _edge_cost(
         cost = edge_cost(static, dynamic, m, i64(edge), demand, remaining)
     elif remaining < demand:
         cost = i64(_UNIT + _OVERFLOW) if static.overflow_allowed else i64(_FARTHEST)
-    elif scarcity:
+    elif slack:
         at = as_index(edge // AXES)
         track = np.float32(max(demand, 1))
         left = slack_of(maps, m, at, axis, remaining, track) - np.float32(1)
@@ -297,17 +284,21 @@ def _put(ways: Ways, m: int, kind: int, key: int, cell: int) -> None:
 
 
 @compiled
-def _box(static: Static, dynamic: Dynamic, m: int, n: int, axis: int) -> tuple[int, int]:
-    """The ends along an axis of the box around an agent's target and its net's open pins."""
+def _set_box(static: Static, dynamic: Dynamic, ways: Ways, m: int, n: int) -> None:
+    """Lays the box around an agent's target and its net's open pins, within the grid."""
     agent = dynamic.agents[m, n]
-    low = high = i64(static.position[agent.target, axis])
-    for task in range(i64(static.first[m, n]), i64(static.first[m, n + 1])):
-        if task != agent.task and not is_later(static, dynamic, m, n, i64(task)):
-            continue
-        for end in range(task != agent.task, 2):
-            at = i64(static.position[static.tasks[task, end], axis])
-            low, high = min(low, at), max(high, at)
-    return low, high
+    columns, rows, _ = grid_of(static)
+    margin = widened(static, dynamic, m, i64(ways.margin))
+    for axis in range(VIA_AXIS):
+        low = high = i64(static.position[agent.target, axis])
+        for task in range(i64(static.first[m, n]), i64(static.first[m, n + 1])):
+            if task != agent.task and not is_later(static, dynamic, m, n, i64(task)):
+                continue
+            for end in range(task != agent.task, 2):
+                at = i64(static.position[static.tasks[task, end], axis])
+                low, high = min(low, at), max(high, at)
+        ways.low[m, axis] = max(low - margin, 0)
+        ways.high[m, axis] = min(high + margin, (rows if axis else columns) - 1)
 
 
 @compiled
@@ -325,12 +316,6 @@ def widened(static: Static, dynamic: Dynamic, m: int, margin: int) -> int:
 
 
 @compiled
-def _present(static: Static, dynamic: Dynamic, m: int) -> int:
-    """What one net too many costs in a priced round; NOBODY in others."""
-    return i64(dynamic.games[m].present) if is_priced(static, dynamic, m) else i64(NOBODY)
-
-
-@compiled
 def _is_end(static: Static, dynamic: Dynamic, m: int, n: int, cell: int) -> bool:
     """Whether an agent's task ends in a Gcell."""
     if is_on(static, Option.TREE_TARGET):
@@ -339,72 +324,39 @@ def _is_end(static: Static, dynamic: Dynamic, m: int, n: int, cell: int) -> bool
 
 
 @compiled
-def _note(
-    static: Static, dynamic: Dynamic, maps: Maps, ways: Ways, m: int, n: int, margin: int
-) -> None:
-    """Notes what the cheapest ways have just been found from."""
-    columns, rows, layers = grid_of(static)
-    for x in range(max(i64(ways.low[m, 0]), 0), min(i64(ways.high[m, 0]), columns - 1) + 1):
-        for y in range(max(i64(ways.low[m, 1]), 0), min(i64(ways.high[m, 1]), rows - 1) + 1):
-            for z in range(layers):
-                cell = as_index((x * rows + y) * layers + z)
-                for axis in range(VIA_AXIS):
-                    ways.room[m, cell, axis] = _room(static, dynamic, m, n, cell, i64(axis))
-                    ways.load[m, cell, axis] = maps.expected[m, cell, axis]
-                    if is_priced(static, dynamic, m):
-                        ways.price[m, cell, axis] = price_of(static, dynamic, m, AXES * cell + axis)
-    ways.found[m, 0] = n
-    ways.found[m, 1] = dynamic.agents[m, n].task
-    ways.found[m, 2] = widened(static, dynamic, m, margin)
-    ways.found[m, 3] = _present(static, dynamic, m)
+def _mixed(known: int, number: int) -> int:
+    """A digest of numbers, with one more."""
+    known = (known ^ number) * _FACTOR
+    return known ^ known >> 32
 
 
 @compiled
-def _are_found(
-    static: Static, dynamic: Dynamic, maps: Maps, ways: Ways, m: int, n: int, margin: int
-) -> bool:
-    """Whether the cheapest ways are known: all that they follow from is as it was."""
-    found = ways.found[m]
-    margin = widened(static, dynamic, m, margin)
-    if found[0] != n or found[1] != dynamic.agents[m, n].task or found[2] != margin:
-        return False
-    if found[3] != _present(static, dynamic, m):
-        return False
-    for axis in range(VIA_AXIS):
-        low, high = _box(static, dynamic, m, n, i64(axis))
-        if ways.low[m, axis] != low - margin or ways.high[m, axis] != high + margin:
-            return False
-    columns, rows, layers = grid_of(static)
-    for x in range(max(i64(ways.low[m, 0]), 0), min(i64(ways.high[m, 0]), columns - 1) + 1):
-        for y in range(max(i64(ways.low[m, 1]), 0), min(i64(ways.high[m, 1]), rows - 1) + 1):
+def _digest(static: Static, dynamic: Dynamic, maps: Maps, ways: Ways, m: int, n: int) -> int:
+    """A digest of all that the cheapest ways of an agent follow from, never 0."""
+    _, rows, layers = grid_of(static)
+    priced = is_priced(static, dynamic, m)
+    known = _mixed(i64(n), i64(dynamic.agents[m, n].task))
+    known = _mixed(known, i64(dynamic.games[m].present) if priced else i64(NOBODY))
+    for x in range(ways.low[m, 0], ways.high[m, 0] + 1):
+        for y in range(ways.low[m, 1], ways.high[m, 1] + 1):
             for z in range(layers):
                 cell = as_index((x * rows + y) * layers + z)
-                if (ways.cost[m, 0, cell] == 0) != _is_end(static, dynamic, m, n, cell):
-                    return False
+                known = _mixed(known, 2 * cell + _is_end(static, dynamic, m, n, cell))
                 for axis in range(VIA_AXIS):
-                    if ways.load[m, cell, axis] != maps.expected[m, cell, axis]:
-                        return False
-                    if is_priced(static, dynamic, m):
-                        price = price_of(static, dynamic, m, AXES * cell + axis)
-                        if ways.price[m, cell, axis] != price:
-                            return False
-                    room = _room(static, dynamic, m, n, cell, i64(axis))
-                    if ways.room[m, cell, axis] != room:
-                        return False
-    return True
+                    known = _mixed(known, _room(static, dynamic, m, n, cell, i64(axis)))
+                    known = _mixed(known, i64(maps.expected[m, cell, axis]))
+                    if priced:
+                        price = price_of(static, dynamic, m, i64(AXES * cell + axis))
+                        known = _mixed(known, price)
+    return known | 1
 
 
 @compiled
-def find_ways(
-    static: Static, dynamic: Dynamic, maps: Maps, ways: Ways, m: int, n: int, margin: int
-) -> None:
+def find_ways(static: Static, dynamic: Dynamic, maps: Maps, ways: Ways, m: int, n: int) -> None:
     """Begins the searches for a task's cheapest ways, which :func:`_reach` carries on."""
-    columns, rows, layers = grid_of(static)
-    margin = widened(static, dynamic, m, margin)
-    ways.found[m, 0] = NOBODY
-    for axis in range(VIA_AXIS):
-        low, high = _box(static, dynamic, m, n, i64(axis))
-        ways.low[m, axis], ways.high[m, axis] = low - margin, high + margin
+    _, rows, layers = grid_of(static)
+    ways.found[m] = 0
+    _set_box(static, dynamic, ways, m, n)
     for kind in range(2):
         ways.head[m, kind, :] = NOBODY
         ways.front[m, kind, :] = 0
@@ -412,8 +364,8 @@ def find_ways(
     scarce = False
     for z in range(layers):
         scarce |= static.demand[m, n, z] < 1
-    for x in range(max(i64(ways.low[m, 0]), 0), min(i64(ways.high[m, 0]), columns - 1) + 1):
-        for y in range(max(i64(ways.low[m, 1]), 0), min(i64(ways.high[m, 1]), rows - 1) + 1):
+    for x in range(ways.low[m, 0], ways.high[m, 0] + 1):
+        for y in range(ways.low[m, 1], ways.high[m, 1] + 1):
             for z in range(layers):
                 cell = as_index((x * rows + y) * layers + z)
                 for axis in range(VIA_AXIS):
@@ -434,9 +386,8 @@ def _reach(
     """The cost of the cheapest way from a Gcell to a task's end; ``kind`` 1: with slack."""
     kind = min(kind, i64(ways.kinds[m]) - 1)
     front = ways.front[m, kind]
-    columns, rows, _ = grid_of(static)
-    x0, x1 = max(i64(ways.low[m, 0]), 0), min(i64(ways.high[m, 0]), columns - 1)
-    y0, y1 = max(i64(ways.low[m, 1]), 0), min(i64(ways.high[m, 1]), rows - 1)
+    x0, x1 = i64(ways.low[m, 0]), i64(ways.high[m, 0])
+    y0, y1 = i64(ways.low[m, 1]), i64(ways.high[m, 1])
     while front[_WAITING] > 0 and ways.cost[m, kind, cell] > front[_KEY]:
         key = i64(front[_KEY])
         bucket = key & (_BUCKETS - 1)
@@ -477,15 +428,6 @@ def _far(distance: Any) -> Any:
 
 
 @compiled
-def _apart(static: Static, a: int, b: int) -> int:
-    """The distance of two Gcells over x, y and layers."""
-    distance = i64(0)
-    for axis in range(AXES):
-        distance += abs(i64(static.position[a, axis]) - i64(static.position[b, axis]))
-    return distance
-
-
-@compiled
 def _pin_of(static: Static, dynamic: Dynamic, m: int, n: int, task: int) -> int:
     """The Gcell that is seen as the pin of an open task."""
     agent = dynamic.agents[m, n]
@@ -505,8 +447,8 @@ def _note_wire(static: Static, dynamic: Dynamic, ways: Ways, m: int, n: int, cel
     agent = dynamic.agents[m, n]
     for task in range(i64(static.first[m, n]), i64(static.first[m, n + 1])):
         if task == agent.task or is_later(static, dynamic, m, n, i64(task)):
-            distance = _apart(static, _pin_of(static, dynamic, m, n, i64(task)), cell)
-            ways.wired[task] = min(i64(ways.wired[task]), distance)
+            apart = distance(static, _pin_of(static, dynamic, m, n, i64(task)), cell)
+            ways.wired[task] = min(i64(ways.wired[task]), apart)
 
 
 @compiled
@@ -616,7 +558,7 @@ def _span(static: Static, ways: Ways, m: int, pins: int, cell: int) -> int:
     ways.span[0] = ways.cost[m, 0, cell]
     for k in range(pins):
         task = as_index(ways.seen[k])
-        near = min(_apart(static, as_index(static.tasks[task, 1]), cell), i64(ways.wired[task]))
+        near = min(distance(static, as_index(static.tasks[task, 1]), cell), i64(ways.wired[task]))
         ways.span[k + 1] = _UNIT * near
     total = i64(0)
     for _ in range(pins + 1):
@@ -636,7 +578,7 @@ def _span(static: Static, ways: Ways, m: int, pins: int, cell: int) -> int:
             else:
                 a, b = as_index(ways.seen[nearest - 1]), as_index(ways.seen[k - 1])
                 pin = as_index(static.tasks[a, 1])
-                apart = _UNIT * _apart(static, pin, as_index(static.tasks[b, 1]))
+                apart = _UNIT * distance(static, pin, as_index(static.tasks[b, 1]))
             ways.span[k] = min(i64(ways.span[k]), apart)
     return total
 
@@ -672,15 +614,7 @@ def _write_spans(
 
 @compiled
 def _write_pins(
-    static: Static,
-    dynamic: Dynamic,
-    maps: Maps,
-    ways: Ways,
-    m: int,
-    n: int,
-    radius: int,
-    out: Any,
-    row: int,
+    static: Static, dynamic: Dynamic, maps: Maps, ways: Ways, m: int, n: int, out: Any, row: int
 ) -> None:
     """Writes the block ``pins``, and sets what is 1 in the block ``open``."""
     agent = dynamic.agents[m, n]
@@ -688,6 +622,7 @@ def _write_pins(
     x, y, z = position(static, cell)
     sign_x = 1 if static.position[target, 0] >= x else -1
     sign_y = 1 if static.position[target, 1] >= y else -1
+    radius = i64(ways.radius)
     first, side = _FIRST_PIN, 2 * radius + 1
     opened = out.shape[1] - side * side
     for k in range(_PIN * _PINS):
@@ -724,15 +659,7 @@ def _write_pins(
 
 @compiled
 def _write_folded(
-    static: Static,
-    dynamic: Dynamic,
-    maps: Maps,
-    ways: Ways,
-    m: int,
-    n: int,
-    radius: int,
-    out: Any,
-    row: int,
+    static: Static, dynamic: Dynamic, maps: Maps, ways: Ways, m: int, n: int, out: Any, row: int
 ) -> None:
     """Writes the blocks of the folded window; in ``open`` zeros."""
     columns, rows, layers = grid_of(static)
@@ -740,6 +667,7 @@ def _write_folded(
     cell, target = as_index(agent.cell), as_index(agent.target)
     x, y, _ = position(static, cell)
     right, up = static.position[target, 0] >= x, static.position[target, 1] >= y
+    radius = i64(ways.radius)
     side = 2 * radius + 1
     edges = side * (side + 1)
     for axis in range(VIA_AXIS):
@@ -777,36 +705,20 @@ def _write_folded(
 
 @compiled
 def write_outlook(
-    static: Static,
-    dynamic: Dynamic,
-    maps: Maps,
-    ways: Ways,
-    m: int,
-    n: int,
-    radius: int,
-    out: Any,
-    row: int,
+    static: Static, dynamic: Dynamic, maps: Maps, ways: Ways, m: int, n: int, out: Any, row: int
 ) -> None:
     """Fills a row of ``out`` (K, size); ``maps`` and ``ways`` have been brought up to date."""
     write_numbers(static, dynamic, m, n, out, row)
     _write_moves(static, dynamic, maps, ways, m, n, out, row)
-    _write_folded(static, dynamic, maps, ways, m, n, radius, out, row)
+    _write_folded(static, dynamic, maps, ways, m, n, out, row)
     _find_pins(static, dynamic, ways, m, n)
     _write_spans(static, dynamic, maps, ways, m, n, out, row)
-    _write_pins(static, dynamic, maps, ways, m, n, radius, out, row)
+    _write_pins(static, dynamic, maps, ways, m, n, out, row)
 
 
 @compiled
 def _write(
-    static: Static,
-    dynamic: Dynamic,
-    maps: Maps,
-    ways: Ways,
-    radius: int,
-    margin: int,
-    problems: Any,
-    agents: Any,
-    out: Any,
+    static: Static, dynamic: Dynamic, maps: Maps, ways: Ways, problems: Any, agents: Any, out: Any
 ) -> None:
     """Fills ``out`` (K, size)."""
     for i in range(len(problems)):
@@ -817,8 +729,10 @@ def _write(
             continue
         m, n = as_index(m), as_index(n)
         refresh(static, dynamic, maps, m, n)
-        if not _are_found(static, dynamic, maps, ways, m, n, i64(margin)):
-            find_ways(static, dynamic, maps, ways, m, n, i64(margin))
-            _note(static, dynamic, maps, ways, m, n, i64(margin))
+        _set_box(static, dynamic, ways, m, n)
+        known = _digest(static, dynamic, maps, ways, m, n)
+        if ways.found[m] != known:
+            find_ways(static, dynamic, maps, ways, m, n)
+            ways.found[m] = known
         find_wires(static, dynamic, ways, m, n)
-        write_outlook(static, dynamic, maps, ways, m, n, i64(radius), out, i)
+        write_outlook(static, dynamic, maps, ways, m, n, out, i)

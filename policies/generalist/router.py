@@ -10,11 +10,8 @@
    cost them less. There, nets with few pins follow a computed cheapest tree, and the network moves
    the others.
 
-With ``copies`` the problem is played several times in parallel. All copies but the first have
-sampled moves and a random net order, and only the best of them enter the rounds. The result is the
-best solution of any copy after any round.
-
-All moves and rounds are those of the environment, compiled (:mod:`policies.generalist.walk`).
+The result is the best solution after any round. All moves and rounds are those of the environment,
+compiled (:mod:`policies.generalist.walk`).
 """
 
 import time
@@ -29,6 +26,7 @@ from torch import nn
 from marouting import EnvOptions, Problem, Solution
 from marouting.batch.engine import Engine
 from marouting.batch.prices import MOST_PRESENT, Negotiation
+from marouting.checks import check_fields
 from marouting.config import check
 from marouting.problem.grid import MOVES
 from marouting.rules import MOST_NEIGHBOURS, MOST_ROUNDS, Mask, Nets, RipUp, Rules
@@ -44,7 +42,7 @@ _SURE = 8.0
 """How much a Gcell of detour lowers a move's score where ``policy`` is ``greedy``."""
 
 _STEPS = 64
-"""Moves of every copy between two looks at the clock, unless there is time for less: a quarter of a
+"""Moves between two looks at the clock, unless there is time for less: a quarter of a
 millisecond on small grids."""
 
 _STEINER: dict[str, Any] = {"nets": Nets(decomposition="steiner"), "next_pin": "listed"}
@@ -67,6 +65,8 @@ little time nets share less, and have parted sooner."""
 _CALM = 0.3
 """``calm``: there are rounds enough for prices to come to rest."""
 
+_COLD = np.zeros(1, np.float32)  # the temperature at which the best moves are made
+
 _OFTEN = 0.1
 """Seconds between two lines to who watches."""
 
@@ -80,10 +80,8 @@ class GeneralistOptions:
             ``configs/generalist.yaml`` trains; None: the one that is shipped with the package, see
             ``README.md`` beside it.
         seconds: limit of processor time, without loading and compiling. It may be exceeded until
-            the copies have routed for the first time. None: no limit.
+            all nets have routed for the first time. None: no limit.
         rounds: the most rip-up rounds; 0 for a single shot.
-        copies: copies of the problem that are played.
-        keep: how many of them go through rip-up rounds.
         temperature: of the softmax from which moves are sampled.
         neighbours: the most blocking nets that are rerouted together with a net.
         patience: number of consecutive plain rounds after which one more blocking net is rerouted,
@@ -103,8 +101,6 @@ class GeneralistOptions:
     weights: str | None = None
     seconds: float | None = 1.0
     rounds: int = MOST_ROUNDS
-    copies: int = 1
-    keep: int = 1
     temperature: float = 1.0
     neighbours: int = 3
     patience: int = 2
@@ -114,18 +110,11 @@ class GeneralistOptions:
     policy: Literal["network", "greedy", "random"] = "network"
 
     def __post_init__(self) -> None:
-        positive = self.seconds is None or self.seconds >= 0
-        check("seconds", positive, "a number from 0, or null")
-        check("rounds", 0 <= self.rounds <= MOST_ROUNDS, f"a number from 0 to {MOST_ROUNDS}")
-        check("copies", 1 <= self.copies <= 4096, "a number from 1 to 4096")
-        check("keep", 1 <= self.keep <= self.copies, f"a number from 1 to copies, {self.copies}")
-        check("temperature", self.temperature >= 0, "a number from 0")
-        many = f"a number from 0 to {MOST_NEIGHBOURS}"
-        check("neighbours", 0 <= self.neighbours <= MOST_NEIGHBOURS, many)
-        check("patience", 0 <= self.patience <= MOST_ROUNDS, f"a number from 0 to {MOST_ROUNDS}")
+        counted = dict.fromkeys(("rounds", "patience"), (0, MOST_ROUNDS))
+        counted |= {"neighbours": (0, MOST_NEIGHBOURS), "seed": (0, 2**63 - 1)}
+        check_fields(self, seconds=(0, np.inf), temperature=(0, np.inf), **counted)
         exact = self.exact_pins == 0 or 2 <= self.exact_pins <= MOST_PINS
         check("exact_pins", exact, f"0, or a number from 2 to {MOST_PINS}")
-        check("seed", 0 <= self.seed < 2**63, "a number from 0")
 
 
 class GeneralistRouter:
@@ -162,7 +151,7 @@ class GeneralistRouter:
             trained = TrainedPolicy.load(weights)
             self._observation, self._sizes, self._weights = _read(trained, weights)
             env = trained.env
-        self._keys = keys(options.seed, [str(copy) for copy in range(options.copies)], "walk")
+        self._keys = keys(options.seed, ["0"], "walk")
         rules = {field.name: getattr(env, field.name) for field in fields(Rules)}
         self._rules = replace(
             Rules(**rules),
@@ -184,8 +173,7 @@ class GeneralistRouter:
     def solve(self, problem: Problem) -> Routed:
         """Routes a problem like :meth:`route`, and tells how.
 
-        The report has ``copies``, ``moves``, all that agents have made, and ``rounds``, the most
-        rip-up rounds that a copy has been through.
+        The report has ``moves``, all that agents have made, and ``rounds``.
         """
         began = time.thread_time()
         return self._play(problem, self._negotiation_for(problem), began)
@@ -193,38 +181,30 @@ class GeneralistRouter:
     def _play(self, problem: Problem, negotiation: Negotiation, began: float) -> Routed:
         """:meth:`solve`, which began at that processor time."""
         o, rules = self.options, self._rules
-        engine = Engine([problem] * o.copies, rules, negotiation=negotiation)
-        if o.copies > 1:
-            engine.set_order(_orders(engine, o.seed))
-        temperature = np.full(o.copies, o.temperature, np.float32)
-        temperature[0] = 0
+        engine, temperature = Engine([problem], rules, negotiation=negotiation), _COLD.copy()
         seen = self._observation, self._sizes, self._weights
         walker = Walker(engine, *seen, temperature, self._keys, exact_pins=o.exact_pins)
 
         guide, seconds = None, np.inf if o.seconds is None else o.seconds
         walker.walk_out(stops=True)
-        share = _TIGHT if any(_cost(engine, 0)[:-1]) else _ROOM
+        share = _TIGHT if any(_cost(engine)[:-1]) else _ROOM
         if seconds >= max(_LEAST, share * (time.thread_time() - began)):
             alone_rules = replace(rules, **_STEINER, rip_up=_rounds(o.rounds, 0))
             guide = Engine([problem], alone_rules, negotiation=negotiation)
-            best_moves = np.zeros(1, np.float32)
-            alone = Walker(guide, *seen, best_moves, self._keys[:1], exact_pins=o.exact_pins)
+            alone = Walker(guide, *seen, _COLD, self._keys, exact_pins=o.exact_pins)
             alone.walk_out(stops=True)
-            walker.counters[0] += alone.counters[0]
+            walker.counters += alone.counters
             if rules.target == "tree" and _walked(guide) < _walked(engine):
-                engine.reset(np.arange(o.copies) == 0)
+                engine.reset()
                 walker.follow(guide)
                 walker.walk_out(stops=True)
                 walker.follow(None)
         temperature[:] = o.temperature
         self._rip_up(engine, walker, began)
-        best = int(_ranking(engine)[0])
-        moves, rounds = int(walker.counters.sum()), int(engine.games["round"].max())
-        report = {"copies": o.copies, "moves": moves, "rounds": rounds}
-        if guide is not None and _cost(guide, 0) < _cost(engine, best):
-            # A net could not follow its routes, whose tasks were shorter.
-            engine, best = guide, 0
-        return Routed(engine.solution(best), report)
+        report = {"moves": int(walker.counters[0]), "rounds": int(engine.games["round"][0])}
+        if guide is not None and _cost(guide) < _cost(engine):
+            engine = guide  # a net could not follow its routes, whose tasks were shorter
+        return Routed(engine.solution(), report)
 
     def _negotiation_for(self, problem: Problem) -> Negotiation:
         """Whether nets negotiate, and how cheaply they share edges at first."""
@@ -241,15 +221,14 @@ class GeneralistRouter:
         return replace(self._negotiation, present=present)
 
     def _rip_up(self, engine: Engine, walker: Walker, began: float) -> None:
-        """Rip-up rounds of the best copies, until the time is over."""
+        """Rip-up rounds, until the time is over."""
         o, said = self.options, time.perf_counter()
-        walker.playing[_ranking(engine)[o.keep :]] = False
 
         def in_time() -> bool:
             nonlocal said
             if self.watch is not None and time.perf_counter() - said >= _OFTEN:
                 said = time.perf_counter()
-                game = engine.games[_ranking(engine)[0]]
+                game = engine.games[0]
                 which = "best" if engine.priced else "kept"
                 overflow, wirelength = (game[f"{which}_{n}"] for n in ("overflow", "wirelength"))
                 line = f"round {game['round']}; overflow {overflow}, wirelength {wirelength}"
@@ -262,7 +241,7 @@ class GeneralistRouter:
 
         def steps() -> int:
             """So many that a call costs little beside them, and half the time at most."""
-            made = int(walker.counters.max()) / max(time.thread_time() - began, 1e-6)
+            made = int(walker.counters[0]) / max(time.thread_time() - began, 1e-6)
             most = int(made * min(left(), _OFTEN))
             return max(min(most // 2, MOST_STEPS), min(most, _STEPS), 1)
 
@@ -272,7 +251,7 @@ class GeneralistRouter:
                 over = walker.walk(steps())
             walker.walk_out(stops=True)
             if engine.priced:
-                take_best(engine)
+                take_best(engine.static, engine.dynamic)
 
 
 def _read(
@@ -288,37 +267,20 @@ def _read(
     return seen, sizes, nn.utils.parameters_to_vector(module.parameters()).detach().numpy()
 
 
-def _cost(engine: Engine, m: int) -> tuple[int, int, int]:
-    """What a game is judged by: open tasks, overflow and wirelength."""
-    game = engine.games[m]
-    still_open = int(engine.tasks[m].sum()) - int(game["joined"])
-    return still_open, int(game["overflow"]), int(game["wirelength"])
+def _cost(engine: Engine) -> tuple[int, int, int]:
+    """What the game is judged by: open tasks, overflow and wirelength."""
+    metrics = engine.metrics()
+    return metrics.tasks - metrics.joined, metrics.overflow, metrics.wirelength
 
 
 def _walked(engine: Engine) -> tuple[int, ...]:
-    """What the first walk of the first game is judged by; at prices overflow can still go away."""
-    still_open, overflow, wirelength = _cost(engine, 0)
+    """What its first walk is judged by; at prices overflow can still go away."""
+    still_open, overflow, wirelength = _cost(engine)
     if engine.priced:
         return still_open, overflow + wirelength
     return still_open, overflow, wirelength
 
 
-def _orders(engine: Engine, seed: int) -> NDArray[np.int32]:
-    """Turn orders: that of the rules for the first copy, random ones for the others."""
-    orders = engine.static.order.copy()
-    rng = np.random.default_rng(seed)
-    for order in orders[1:]:
-        agents = int((order >= 0).sum())
-        order[:agents] = rng.permutation(order[:agents])
-    return orders
-
-
 def _rounds(rounds: int, neighbours: int) -> RipUp | None:
     """Rip-up rounds in which agents are asked, if there are any."""
     return RipUp(rounds=rounds, choose="agents", neighbours=neighbours) if rounds else None
-
-
-def _ranking(engine: Engine) -> NDArray[np.int64]:
-    """The copies, best first: by open tasks, overflow and wirelength."""
-    games = engine.games
-    return np.lexsort((games["wirelength"], games["overflow"], -games["joined"]))

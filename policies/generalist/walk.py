@@ -1,4 +1,4 @@
-"""A network walks whole games in one compiled loop, copies of a problem side by side.
+"""A network walks whole games in one compiled loop, several side by side.
 
 It plays in sequential turn order with the observation ``outlook``. While one net moves, the
 predicted demand of the others and the cheapest paths do not change, so they are computed once a
@@ -75,8 +75,6 @@ class WalkState(NamedTuple):
     ways: Ways  # cheapest ways in them
     sizes: NDArray[np.int64]  # units of all layers, the inputs first
     weights: NDArray[np.float32]  # flat, as the parameters of the network lie one after another
-    radius: int
-    margin: int
     late: int  # steps of a task after which an agent goes on by the cheapest way
     temperature: NDArray[np.float32]  # (M,) at which moves are drawn; 0: the best move
     keys: NDArray[np.uint64]  # (M,) of random numbers
@@ -131,11 +129,9 @@ class Walker:
         count, cells, most = len(engine.games), engine.grid.gcells, int(engine.static.max_steps)
         self._given = WalkState(
             maps=maps_of(engine),
-            ways=ways_of(engine),
+            ways=ways_of(engine, observation),
             sizes=np.array(sizes, np.int64),
             weights=weights,
-            radius=observation.radius,
-            margin=observation.margin,
             late=most + 1 if fallback_after is None else math.ceil(most * fallback_after),
             temperature=temperature,
             keys=keys,
@@ -190,13 +186,9 @@ class Walker:
             pass
 
 
-def take_best(engine: Engine) -> None:
-    """Nets of games with prices take the best routes so far."""
-    _take_best(engine.static, engine.dynamic)
-
-
 @compiled
-def _take_best(static: Static, dynamic: Dynamic) -> None:
+def take_best(static: Static, dynamic: Dynamic) -> None:
+    """Nets of games with prices take the best routes so far."""
     for m in range(len(dynamic.games)):
         if dynamic.games[m].round > 0:
             put_best(static, dynamic, i64(m))
@@ -325,11 +317,11 @@ def _look(static: Static, dynamic: Dynamic, given: WalkState, m: int, n: int, ro
         else:
             refresh(static, dynamic, given.maps, m, n)
             given.counted[m] = True
-        find_ways(static, dynamic, given.maps, given.ways, m, n, given.margin)
+        find_ways(static, dynamic, given.maps, given.ways, m, n)
         find_wires(static, dynamic, given.ways, m, n)
     else:
         note_move(static, dynamic, given.ways, m, n)
-    write_outlook(static, dynamic, given.maps, given.ways, m, n, given.radius, given.rows, row)
+    write_outlook(static, dynamic, given.maps, given.ways, m, n, given.rows, row)
 
 
 @compiled
