@@ -292,6 +292,8 @@ def test_kept_routes_that_cannot_be(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="net a: expected a route that joins all pins; keep_nets"):
         adjusted(problem, Controls(keep=str(file)))
     one = adjusted(problem, Controls(keep=str(file), keep_nets=("b",)))
+    with pytest.raises(InputError, match=r"p\.gr: expected a problem without nets that stay"):
+        one.write(tmp_path / "p.gr")
     assert one.horizontal_capacity == (2,)
     assert one.capacity_of(np.array([0, 3])).tolist() == [1, 1]
     sequential_astar(problem).write(file)

@@ -20,6 +20,7 @@ from strategies import problems
 
 from marouting import (
     Adjustment,
+    Area,
     Controls,
     InputError,
     Net,
@@ -305,6 +306,34 @@ def test_the_contests_cost_is_what_the_search_counts(tmp_path: Path) -> None:
     assert costs[1].total < costs[0].total
     plain = contest_cost(router(passes=60).solve(problem).solution)
     assert costs[1].total < plain.total
+
+
+def test_the_contests_cost_follows_controls(tmp_path: Path) -> None:
+    write_contest(tmp_path / "p", 200)
+    problem = Problem.read(tmp_path / "p.cap")
+
+    names = [net.name for net in problem.nets]
+
+    def wires(controls: Controls, nets: slice = slice(None)) -> np.ndarray:
+        """Wires of some nets by row and layer."""
+        solution = router(cost="ispd2024", passes=12).route(adjusted(problem, controls))
+        assert contest_cost(solution).open == ()
+        edge = np.concatenate(solution.edges[nets])
+        _, y, z = np.unravel_index(edge[edge % AXES != VIA_AXIS] // AXES, problem.grid)
+        found = np.zeros(problem.grid[1:], np.int64)
+        np.add.at(found, (y, z), 1)
+        return found
+
+    usual = wires(Controls())
+    assert usual[:, 1].any()
+    assert set(np.flatnonzero(wires(Controls(layers="5..6")).any(axis=0))) == {4, 5}
+    clock = Controls(clock_layers="5..6", clock_nets=tuple(names[:50]))
+    assert set(np.flatnonzero(wires(clock, slice(50)).any(axis=0))) == {4, 5}
+    assert wires(clock, slice(50, None))[:, 1].any()
+    assert wires(Controls(derate={2: 0.2}))[:, 1].sum() < 0.9 * usual[:, 1].sum()
+    columns, rows = problem.grid[0] - 1, problem.grid[1] // 2
+    area = Area(columns=(0, columns), rows=(0, rows), factor=0.0, layers="2")
+    assert wires(Controls(areas=(area,)))[:rows, 1].sum() < 0.7 * usual[:rows, 1].sum()
 
 
 def test_the_contests_cost_of_another_problem() -> None:

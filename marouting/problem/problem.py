@@ -401,8 +401,13 @@ class Problem:
 
         Raises:
             InputError: there is no such format, it cannot hold the problem, or the file cannot be
-                written.
+                written. No format holds the routes of nets that stay (:attr:`kept`).
         """
+        if self.kept is not None:
+            raise InputError(
+                f"{os.fspath(path)}: expected a problem without nets that stay (keep): the format "
+                "has no routes"
+            )
         fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         ispd.write_problem(path, fields, format)
 

@@ -7,8 +7,10 @@ without use cost, the length of a solution is its cost by the contest's rules
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from marouting import InputError, Problem, Solution
+from marouting.problem.chip import Contest
 from marouting.problem.contest import contest_of, usable, uses_of
 from marouting.problem.grid import AXES, VIA_AXIS
 from policies.routers.pathfinder.state import UNIT, ProblemArrays, Routing
@@ -31,12 +33,13 @@ def with_contest(
     wire = np.zeros((2, max(problem.grid[:2])), np.int64)
     for axis, length in enumerate(lengths):
         wire[axis, : len(length)] = np.rint(length * UNIT / usual)
-    tracks = np.zeros((*problem.grid, AXES))
-    for z, axis in enumerate(contest.axis):
-        tracks[..., z, axis] = usable(contest.capacity[..., z])
+    tracks, closed = _tracks(problem, contest)
     overflow_cost = contest.overflow_cost * UNIT / usual
     overflow_cost[0] = 0.0
     routing.progress["contest"], routing.progress["crowding"] = 1, 1.0
+    capacity = np.where(closed, -1, arrays.capacity)
+    capacity.setflags(write=False)
+    routing.remaining[:] = capacity
     taken = np.zeros_like(tracks)
     if problem.kept is not None:
         uses = uses_of(Solution.of_uses(problem.kept.whole, *problem.kept.uses))
@@ -44,6 +47,7 @@ def with_contest(
             taken[..., z, axis] = uses.half_tracks[..., z] / 2
     return (
         arrays._replace(
+            capacity=capacity,
             wire=wire,
             height=np.arange(problem.grid[VIA_AXIS]) * round(contest.via_cost * UNIT / usual),
             overflow_cost=overflow_cost,
@@ -51,4 +55,28 @@ def with_contest(
             along=contest.axis.astype(np.int64),
         ),
         routing._replace(vias=taken.reshape(-1)),
+    )
+
+
+def _tracks(problem: Problem, contest: Contest) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """(X, Y, Z, 3) capacity of every edge, and (E,) the edges of layers without wires.
+
+    Capacities are those of the files, with their fractions of tracks, but where the problem has
+    less by its controls. Layers that have lost all of it are closed, unless wires along their axis
+    have no other; their vias are counted by the files' capacity.
+    """
+    tracks = np.zeros((*problem.grid, AXES))
+    for z, axis in enumerate(contest.axis):
+        tracks[..., z, axis] = usable(contest.capacity[..., z])
+    left = problem.capacity.astype(np.int64)
+    if problem.kept is not None:
+        left += Solution.of_uses(problem.kept.whole, *problem.kept.uses).edge_demand
+    left = left.reshape(tracks.shape)
+    reduced = left < np.floor(tracks)
+    reduced[..., VIA_AXIS] = False
+    has = (left > 0).any(axis=(0, 1))
+    had = (tracks > 0).any(axis=(0, 1))
+    closed = had & ~has & has.any(axis=0)
+    return np.where(reduced & ~closed, left, tracks), np.broadcast_to(closed, tracks.shape).reshape(
+        -1
     )

@@ -104,8 +104,8 @@ def edge_cost(problem: ProblemArrays, routing: Routing, edge: int, demand: int, 
         length = wire_cost(problem, routing, edge)
         more = use_cost(problem, routing, edge, 2 * (demand - own))
         length += min(more - use_cost(problem, routing, edge, -2 * own), i64(FULL // 2))
-        if routing.progress[0].contest:
-            return length
+        if routing.progress[0].contest:  # only by controls nets take more than a track
+            return length + (FULL if demand > 1 else 0)
     over = demand - own - routing.remaining[edge]
     if kind >= SQUEEZE:
         return length + FULL * min(max(over, 0), min(demand, _MOST_OVERFLOW))

@@ -20,7 +20,7 @@ from policies.routers.pathfinder.state import (
     ProblemArrays,
     Routing,
 )
-from policies.routers.pathfinder.trees import overflows, reroute, tree_length, use_tree
+from policies.routers.pathfinder.trees import detours, overflows, reroute, use_tree
 
 _STEPS = 24
 """Nets are rerouted so often, at most, until no more overflows than before."""
@@ -35,8 +35,7 @@ def repairable(problem: ProblemArrays, routing: Routing) -> int:
     """How many nets overflow or take a detour; at least one."""
     count = 0
     for net in routing.order:
-        detour = tree_length(problem, routing, net) > routing.ideal[net]
-        count += detour or overflows(routing, net)
+        count += detours(problem, routing, net) or overflows(routing, net)
     return max(count, 1)
 
 
@@ -49,7 +48,7 @@ def _choose(problem: ProblemArrays, routing: Routing) -> int:
     for i in range(count):
         net = routing.order[(begin + i) % count]
         if shorten:
-            if tree_length(problem, routing, net) > routing.ideal[net]:
+            if detours(problem, routing, net):
                 return net
         elif overflows(routing, net):
             return net

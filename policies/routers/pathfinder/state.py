@@ -163,7 +163,8 @@ class Routing(NamedTuple):
     remaining: NDArray[np.int64]  # (E,) capacity minus demand; negative where edges overflow
     vias: NDArray[np.float64]  # (E,) ISPD 2024: tracks that vias and kept nets take; or empty
     price: NDArray[np.float64]  # (E,) price from past overflow, in units of cost
-    ideal: NDArray[np.int64]  # (N,) length of the net's shortest tree so far; -1: none yet
+    # (N,) length of the shortest tree so far (ISPD 2024: what the latest one cost); -1: none yet
+    ideal: NDArray[np.int64]
     edge: NDArray[np.int32]  # (2, pool) edges of the trees, in the pool in use
     start: NDArray[np.int64]  # (N,) a net's edges are edge[pool, start : start + length]
     length: NDArray[np.int64]  # (N,)

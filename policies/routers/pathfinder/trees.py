@@ -202,6 +202,14 @@ def present_cost(problem: ProblemArrays, routing: Routing, net: int, own: int) -
 
 
 @compiled
+def detours(problem: ProblemArrays, routing: Routing, net: int) -> bool:
+    """Whether a net's tree is longer than its shortest one; ISPD 2024: dearer than when chosen."""
+    if routing.progress[0].contest:
+        return present_cost(problem, routing, net, i64(1)) > routing.ideal[net]
+    return tree_length(problem, routing, net) > routing.ideal[net]
+
+
+@compiled
 def is_settled(problem: ProblemArrays, parameters: Parameters, routing: Routing, net: int) -> bool:
     """Whether a net keeps its tree without a search: none can be cheaper, and no lot fell on it."""
     if routing.ideal[net] < present_cost(problem, routing, net, i64(1)):
@@ -292,9 +300,13 @@ def adopt(
     cost = tree_cost(problem, routing, net, edges, row, first, last, i64(0))
     if cost <= present_cost(problem, routing, net, i64(0)):
         store_tree(routing, net, edges, row, first, last)
-    length, ideal = tree_length(problem, routing, net), i64(routing.ideal[net])
+    ideal = i64(routing.ideal[net])
     progress.unproven += ideal < 0 and not (plan[EXACT] and progress.kind == RELAX)
-    routing.ideal[net] = length if ideal < 0 else min(ideal, length)
+    if progress.contest:
+        routing.ideal[net] = present_cost(problem, routing, net, i64(0))
+    else:
+        length = tree_length(problem, routing, net)
+        routing.ideal[net] = length if ideal < 0 else min(ideal, length)
     use_tree(problem, routing, net, i64(1))
     progress.routed += 1
     return DONE
