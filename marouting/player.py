@@ -266,7 +266,8 @@ class Player:
             self._arrived = now._replace(agents=now.agents.copy(), sets=now.sets.copy())
             self._mirror_games()
         if self.compiled:
-            self._step = specialised(_play, *self._arguments, True, True)
+            kernel = _play_everyone if self.everyone else _play_player
+            self._step = specialised(kernel, *self._arguments, True, True)
             return
         nobody, nowhere = np.zeros(len(buffers.over), np.bool_), engine.games["agent"].copy()
         self._settle = specialised(_settle_and_show, *self._arguments, nobody, nowhere, NOT)
@@ -562,8 +563,9 @@ def _list_arrived(
     """Lists the agents whose tasks have ended, or who pass the turn; returns how many they are."""
     count = 0
     for m in range(len(asked)):
+        passes = not (fast.everyone or static.sequential) and dynamic.games[m].active > 1
         for row in range(b.agents.shape[1]):
-            if arrives(static, dynamic, b, fast.everyone, m, row):
+            if b.ending[m, row] != Ending.NONE or (passes and b.acted[m, row]):
                 problems[count] = m
                 agents[count] = row if fast.everyone else asked[m]
                 rows[count] = m * b.agents.shape[1] + row
@@ -665,6 +667,39 @@ def _look(
 
 
 @inlined
+def _look_at_player(
+    static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int
+) -> None:
+    """Writes what the agent whose turn it is sees."""
+    player = i64(dynamic.games[m].agent)
+    b.agents[m, 0] = player
+    b.active[m, 0] = player != NOBODY
+    _look(static, dynamic, fast, m, player, b.obs, b.mask, i64(0))
+
+
+@inlined
+def _make_moves(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
+    """The moves of a step of one problem, before anybody settles."""
+    if fast.shares is not None:
+        move_and_pay(static, dynamic, fast, m, b.actions, b.reward)
+    elif fast.everyone:
+        move_everyone(static, dynamic, m, b.actions)
+    else:
+        move_player(static, dynamic, m, i64(b.actions[m, 0]))
+
+
+@inlined
+def _take_stock(dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int, n: int, row: int) -> Any:
+    """Writes the result of an agent's move; returns the reward."""
+    agent = dynamic.agents[m, n]
+    b.acted[m, row] = agent.crossing != Crossing.NONE
+    b.ending[m, row] = agent.ending
+    if fast.shares is None:
+        b.reward[m, row] = paper_reward(fast.table, fast.overflow_price, agent)
+    return b.reward[m, row]
+
+
+@inlined
 def start_game(static: Static, dynamic: Dynamic, b: StepBuffers, m: int) -> None:
     """Starts an episode of a problem that is cleared, in which nobody has acted yet."""
     reset_problem(static, dynamic, m)
@@ -677,38 +712,114 @@ def start_game(static: Static, dynamic: Dynamic, b: StepBuffers, m: int) -> None
 
 
 @inlined
+def _finish(b: StepBuffers, m: int, playing: bool, game: Any) -> None:
+    """After a step: records whether the episode has ended with it, and how."""
+    b.over[m] = playing and game.active == 0
+    if b.over[m]:
+        b.final[m].overflow = game.overflow
+        b.final[m].wirelength = game.wirelength
+        b.final[m].joined = game.joined
+        b.final[m].steps = game.steps
+
+
+@inlined
+def _show(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int, n: int) -> None:
+    """Writes an agent's status and what it sees now."""
+    status = dynamic.agents[m, n].status
+    b.terminated[m, n] = status == Status.TERMINATED
+    b.truncated[m, n] = status == Status.TRUNCATED
+    b.active[m, n] = status == Status.ACTIVE
+    _look(static, dynamic, fast, m, n, b.obs, b.mask, n)
+
+
+@inlined
+def _step_everyone(
+    static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int
+) -> None:
+    """A step of one problem in which all agents have a row."""
+    game = dynamic.games[m]
+    playing = game.active > 0
+    total = b.total[m]
+    _make_moves(static, dynamic, b, fast, m)
+    for n in range(b.agents.shape[1]):
+        # One loop does everything for an agent while its data is in the cache.
+        agent = dynamic.agents[m, n]
+        if agent.status == Status.ABSENT:
+            continue
+        total += _take_stock(dynamic, b, fast, m, n, n)
+        if agent.ending != Ending.NONE:
+            _look(static, dynamic, fast, m, n, b.final_obs, b.final_mask, n)
+            settle_agent(static, dynamic, m, n)
+        _show(static, dynamic, b, fast, m, n)
+    settle_turns(static, dynamic, m)
+    if static.extended is not None and (game.ripped or game.active == 0):
+        for n in range(b.agents.shape[1]):
+            if dynamic.agents[m, n].status != Status.ABSENT:
+                _show(static, dynamic, b, fast, m, n)
+    b.total[m] = total
+    _finish(b, m, playing, game)
+
+
+@inlined
+def _step_player(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
+    """A step of one problem in which only the agent whose turn it is has a row."""
+    game = dynamic.games[m]
+    playing = game.active > 0
+    mover, row = i64(game.agent), i64(0)
+    _make_moves(static, dynamic, b, fast, m)
+    if mover == NOBODY:
+        b.acted[m, 0] = False
+        b.reward[m, 0] = 0
+        b.ending[m, 0] = Ending.NONE
+    else:
+        n = as_index(mover)
+        b.total[m] += _take_stock(dynamic, b, fast, m, n, row)
+        passes = game.active > 1 and not static.sequential
+        if b.ending[m, 0] != Ending.NONE or (b.acted[m, 0] and passes):
+            _look(static, dynamic, fast, m, n, b.final_obs, b.final_mask, row)
+        settle_agent(static, dynamic, m, n)
+        pass_turn(static, dynamic, m)
+        status = dynamic.agents[m, n].status
+        b.terminated[m, 0] = status == Status.TERMINATED
+        b.truncated[m, 0] = status == Status.TRUNCATED
+    _look_at_player(static, dynamic, b, fast, m)
+    _finish(b, m, playing, game)
+
+
+@inlined
+def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
+    """A step of one problem, with the paper's observation and a built-in reward."""
+    if fast.everyone:
+        _step_everyone(static, dynamic, b, fast, m)
+    else:
+        _step_player(static, dynamic, b, fast, m)
+
+
+# --- any observation ------------------------------------------------------------------------------
+
+
+@inlined
 def move_game(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
     """The moves of a step of one problem and what is paid for them, before anybody settles."""
-    if fast.shares is not None:
-        move_and_pay(static, dynamic, fast, m, b.actions, b.reward)
-    elif fast.everyone:
-        move_everyone(static, dynamic, m, b.actions)
-    else:
-        move_player(static, dynamic, m, i64(b.actions[m, 0]))
-    total = b.total[m]
+    _make_moves(static, dynamic, b, fast, m)
     for row in range(b.agents.shape[1]):
         n = i64(row) if fast.everyone else i64(dynamic.games[m].agent)
         if n == NOBODY or dynamic.agents[m, as_index(n)].status == Status.ABSENT:
             b.acted[m, row] = False
             b.reward[m, row] = 0
             b.ending[m, row] = Ending.NONE
-            continue
-        agent = dynamic.agents[m, as_index(n)]
-        b.acted[m, row] = agent.crossing != Crossing.NONE
-        b.ending[m, row] = agent.ending
-        if fast.shares is None:
-            b.reward[m, row] = paper_reward(fast.table, fast.overflow_price, agent)
-        total += b.reward[m, row]
-    b.total[m] = total
+        else:
+            b.total[m] += _take_stock(dynamic, b, fast, m, as_index(n), row)
 
 
-@inlined
-def arrives(
-    static: Static, dynamic: Dynamic, b: StepBuffers, everyone: bool, m: int, row: int
-) -> bool:
-    """Whether a row's task has ended with its move, or its agent passes the turn."""
-    passes = not (everyone or static.sequential) and dynamic.games[m].active > 1
-    return b.ending[m, row] != Ending.NONE or (passes and b.acted[m, row])
+@compiled
+def _move_and_pay(
+    static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, begins: Any
+) -> None:
+    """:func:`move_game` in all problems whose episode does not begin."""
+    for m in range(len(begins)):
+        if not begins[m]:
+            move_game(static, dynamic, b, fast, m)
 
 
 NOT, _TURNS, ALL = 0, 1, 2
@@ -738,14 +849,10 @@ def settle_game(
                 settle_player(static, dynamic, m)
             else:
                 pass_turn(static, dynamic, m)
-        b.over[m] = False
+        acted = False
         for row in range(b.agents.shape[1]):
-            b.over[m] |= game.active == 0 and b.acted[m, row]
-        if b.over[m]:
-            b.final[m].overflow = game.overflow
-            b.final[m].wirelength = game.wirelength
-            b.final[m].joined = game.joined
-            b.final[m].steps = game.steps
+            acted |= b.acted[m, row]
+        _finish(b, m, acted, game)
     if not fast.everyone:
         b.agents[m, 0] = game.agent
     for row in range(b.agents.shape[1]):
@@ -762,16 +869,6 @@ def settle_game(
 def write_mask(static: Static, dynamic: Dynamic, mask: Any, m: int, n: int, row: int) -> None:
     """Writes the moves of an agent that cross an edge; ones for NOBODY."""
     _write_mask(static, mask, m, row, _free(static, dynamic, m, n))
-
-
-@compiled
-def _move_and_pay(
-    static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, begins: Any
-) -> None:
-    """:func:`move_game` in all problems whose episode does not begin."""
-    for m in range(len(begins)):
-        if not begins[m]:
-            move_game(static, dynamic, b, fast, m)
 
 
 @compiled
@@ -795,44 +892,35 @@ def _settle_and_show(
 
 # --- the paper's pieces ---------------------------------------------------------------------------
 
-
-@inlined
-def _end_step(
-    static: Static,
-    dynamic: Dynamic,
-    b: StepBuffers,
-    fast: FastPath,
-    m: int,
-    asked: int,
-    what: int,
-) -> None:
-    """:func:`settle_game`, and what agents see then."""
-    settle_game(static, dynamic, b, fast, m, asked, what)
-    for row in range(b.agents.shape[1]):
-        _look(static, dynamic, fast, m, i64(b.agents[m, row]), b.obs, b.mask, row)
-
-
-@inlined
-def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
-    """A step of one problem, with the paper's observation and a built-in reward."""
-    asked = i64(dynamic.games[m].agent)
-    move_game(static, dynamic, b, fast, m)
-    for row in range(b.agents.shape[1]):
-        if arrives(static, dynamic, b, fast.everyone, m, row):
-            n = i64(row) if fast.everyone else asked
-            _look(static, dynamic, fast, m, n, b.final_obs, b.final_mask, row)
-    _end_step(static, dynamic, b, fast, m, asked, i64(ALL))
+# Two kernels, because one for both would take half as long again to compile.
 
 
 @compiled
-def _play(
+def _play_everyone(
     static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, steps: bool, restarts: bool
 ) -> None:
-    """Steps and restarts of all problems."""
+    """Steps and restarts of all problems, where all agents have a row."""
     for m in range(len(b.over)):
         if restarts and b.over[m]:
             clear_problem(static, dynamic, m, i64(0), i64(1))
             start_game(static, dynamic, b, m)
-            _end_step(static, dynamic, b, fast, m, i64(NOBODY), i64(NOT))
+            for n in range(b.agents.shape[1]):
+                b.active[m, n] = dynamic.agents[m, n].status == Status.ACTIVE
+                if b.active[m, n]:
+                    _look(static, dynamic, fast, m, n, b.obs, b.mask, n)
         elif steps:
-            step_problem(static, dynamic, b, fast, m)
+            _step_everyone(static, dynamic, b, fast, m)
+
+
+@compiled
+def _play_player(
+    static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, steps: bool, restarts: bool
+) -> None:
+    """:func:`_play_everyone` where only the agent whose turn it is has a row."""
+    for m in range(len(b.over)):
+        if restarts and b.over[m]:
+            clear_problem(static, dynamic, m, i64(0), i64(1))
+            start_game(static, dynamic, b, m)
+            _look_at_player(static, dynamic, b, fast, m)
+        elif steps:
+            _step_player(static, dynamic, b, fast, m)

@@ -184,8 +184,8 @@ def test_the_search_without_learning(policy: str) -> None:
 @pytest.mark.parametrize(
     "given",
     [
-        {"copies": 0},
-        {"keep": 9},
+        {"rounds": -1},
+        {"exact_pins": 1},
         {"seconds": -1},
         {"temperature": -1},
         {"neighbours": -1},
