@@ -34,8 +34,6 @@ from marouting.batch.rules import (
     pass_turn,
     reset_problem,
     settle_agent,
-    settle_everyone,
-    settle_player,
     settle_turns,
     write_moves,
 )
@@ -841,14 +839,13 @@ def settle_game(
     if what != NOT:
         if fast.everyone:
             if what == ALL:
-                settle_everyone(static, dynamic, m)
-            else:
-                settle_turns(static, dynamic, m)
+                for n in range(b.agents.shape[1]):
+                    settle_agent(static, dynamic, m, n)
+            settle_turns(static, dynamic, m)
         elif asked != NOBODY:
             if what == ALL:
-                settle_player(static, dynamic, m)
-            else:
-                pass_turn(static, dynamic, m)
+                settle_agent(static, dynamic, m, as_index(asked))
+            pass_turn(static, dynamic, m)
         acted = False
         for row in range(b.agents.shape[1]):
             acted |= b.acted[m, row]

@@ -1,5 +1,6 @@
 """What all test processes have in common."""
 
+import gc
 import os
 import subprocess
 import sys
@@ -44,6 +45,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The longest files first; a file's tests stay in their order."""
     rank = {f"test_{name}": place for place, name in enumerate(LONGEST.split())}
     items.sort(key=lambda item: rank.get(item.path.stem, len(rank)))
+
+
+def pytest_collection_finish() -> None:
+    """All modules stay to the end: the collector need not look for garbage in them again."""
+    gc.freeze()
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:

@@ -1,5 +1,6 @@
 """What tests/test_cuda.py runs in numba's CUDA simulator, which has to be on before numba is."""
 
+import os
 import pickle
 import sys
 from typing import Any
@@ -8,6 +9,7 @@ import numpy as np
 import torch
 
 import marouting
+from marouting.cuda import env, games
 from marouting.vector import BatchEnv
 from policies.bench.cuda import CASES, WINDOW, compare, difference, on_host
 from policies.learned.config import load_config
@@ -167,6 +169,9 @@ def resume() -> None:
 
 if __name__ == "__main__":
     torch.set_num_threads(1)
+    if os.environ.get("NUMBA_ENABLE_CUDASIM") == "1":
+        # So many threads clear a game together; in the simulator each is a thread of Python's.
+        games.WARP = env.WARP = 3  # type: ignore[attr-defined]
     if sys.argv[1] == "play":
         play(*map(int, sys.argv[2:]))
     else:
