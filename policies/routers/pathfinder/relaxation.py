@@ -120,11 +120,7 @@ def _collect(problem: ProblemArrays, routing: Routing, columns: Columns, begin: 
 
 @compiled
 def _relax(columns: Columns, dual: Dual, iterations: int) -> float:
-    """Goes on with the linear program.
-
-    Returns:
-        The overflow of the shares, in tracks.
-    """
+    """Goes on with the linear program; returns the overflow of the shares, in tracks."""
     latest, before, first = columns.latest, columns.before, columns.first
     share, next_share = columns.share, columns.next_share
     edge_of, take, capacity = columns.edge, columns.take, dual.capacity
