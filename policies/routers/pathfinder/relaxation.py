@@ -77,11 +77,7 @@ class Dual(NamedTuple):
 
 @compiled
 def _collect(problem: ProblemArrays, routing: Routing, columns: Columns, begin: int) -> int:
-    """Adds the nets' present trees to the columns, from the net at place ``begin`` in the order.
-
-    Returns:
-        The place of the first net that there was no room for; the number of nets if there was.
-    """
+    """Adds the nets' trees as columns from place ``begin`` on; returns the first without room."""
     pool = routing.progress[0].pool
     for index in range(begin, len(routing.order)):
         net = routing.order[index]
