@@ -169,13 +169,7 @@ def _step(design: Design, layer: Layer) -> int:
 def _is_pin_layer(
     design: Design, layer: NDArray[np.int64], axis: NDArray[np.int64]
 ) -> np.bool_ | bool:
-    """Whether the lowest layer is for pins: most pins of cells are in it, and others have wires.
-
-    Args:
-        design: the design.
-        layer: (connections,) the layer of each pin.
-        axis: (Z,) that of each layer's wires.
-    """
+    """Whether the lowest layer has most pins of cells, and those above have wires both ways."""
     of_cells = np.array([component != "PIN" for component, _ in design.connections])
     return len(np.unique(axis[1:])) == 2 and 2 * (layer[of_cells] == 0).sum() > of_cells.sum()
 

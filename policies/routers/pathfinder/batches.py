@@ -115,11 +115,7 @@ def _plan_some(
     row: int,
     last: int,
 ) -> int:
-    """Plans some nets of a batch, in a thread of its own.
-
-    Returns:
-        DONE; BOX_TOO_SMALL; or POOL_TOO_SMALL if the thread's row of ``batch.edge`` is full.
-    """
+    """Plans some nets of a batch in a thread; POOL_TOO_SMALL: its row of ``edge`` is full."""
     progress, buffers = routing.progress[0], memory.buffers
     while progress.next < last:
         i = progress.next
@@ -143,10 +139,7 @@ def _plan_some(
 
 @compiled
 def _adopt_all(problem: ProblemArrays, routing: Routing, batch: Batch, begin: int, end: int) -> int:
-    """Carries out plans of a batch, in order; returns the first one that the pool has no room for.
-
-    Where there is room for all, that is ``end``.
-    """
+    """Carries out plans in order; returns the first that the pool lacks room for, or ``end``."""
     for i in range(begin, end):
         net, row, first = batch.net[i], batch.row[i], batch.first[i]
         code = POOL_TOO_SMALL

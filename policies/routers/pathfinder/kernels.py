@@ -449,13 +449,7 @@ def _degree(moves: int) -> int:
 def _list_part(
     lattice: Lattice, search: Search, buffers: NetBuffers, point: int, first: int
 ) -> int:
-    """Lists the points connected to one point by the tree, in ``search.start`` from ``first`` on.
-
-    Marks them in ``buffers.inside`` and makes their bounding box that of the goal.
-
-    Returns:
-        The end of the list.
-    """
+    """Lists, marks and bounds the points connected to a point; returns the list's end."""
     search.start[first] = point
     buffers.inside[point] = 1
     size = first + 1
@@ -484,11 +478,7 @@ def _other_end(
     move: int,
     worn: bool,
 ) -> int:
-    """The key to which a path of the tree leads that leaves another key by a move.
-
-    Returns:
-        The key, or -1 if the path does not count.
-    """
+    """The key to which a path leads that leaves another by a move; -1 if it does not count."""
     tree, stride, pin, low = lattice.tree, lattice.stride, buffers.pin, buffers.low
     ny, nz = lattice.size[1], lattice.size[2]
     row = key // nz

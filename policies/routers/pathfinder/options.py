@@ -121,7 +121,7 @@ class PathfinderOptions:
     patience_factor: int = 16
     passes: int = _PASSES
     seconds: float | None = 50.0
-    least_gain: float = 0.001
+    least_gain: float = 0.0003
     threads: int = 1
     start: str | None = None
     seed: int = 0

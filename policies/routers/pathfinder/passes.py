@@ -38,11 +38,7 @@ from policies.routers.pathfinder.trees import (
 
 @compiled
 def _next_pass(problem: ProblemArrays, parameters: Parameters, routing: Routing) -> bool:
-    """Ends a pass: records it, updates prices, and chooses the kind of the next pass.
-
-    Returns:
-        Whether there is a next pass.
-    """
+    """Ends a pass, chooses the kind of the next pass, and returns whether there is one."""
     progress = routing.progress[0]
     row = routing.history[progress.history]
     row[0], row[1] = progress.kind, progress.overflow

@@ -65,11 +65,7 @@ def _climb(height: Any, one: int, other: int) -> int:
 def _best_layers(
     along: Any, across: Any, first: int, last: int, height: Any
 ) -> tuple[int, int, int]:
-    """The cheapest pair of layers of an L, with the vias from one layer to another.
-
-    Returns:
-        The cost and both layers.
-    """
+    """The cost and both layers of the cheapest pair of layers of an L, with all its vias."""
     least, one, two = 4 * _NEVER, i64(0), i64(0)
     for a in range(len(along)):
         for b in range(len(across)):
@@ -84,11 +80,7 @@ def _best_layers(
 def _draw_line(
     lattice: Lattice, buffers: NetBuffers, point: int, axis: int, steps: int, size: int
 ) -> tuple[int, int]:
-    """Adds a straight line to the tree, up to the first point of the tree that it meets.
-
-    Returns:
-        Where it ends, and the new number of points.
-    """
+    """Adds a line, up to where it meets the tree; returns its end and the number of points."""
     move = 2 * axis + i64(steps < 0)
     for _ in range(abs(steps)):
         if buffers.inside[point] == 1:
@@ -190,11 +182,7 @@ def _join(
     pin: int,
     size: int,
 ) -> int:
-    """Joins a pin's Gcell to the nearest point of the tree by an L.
-
-    Returns:
-        The new number of points in the tree.
-    """
+    """Joins a pin's Gcell to the tree by an L; returns the tree's number of points."""
     point = point_of(problem.position, buffers.low, lattice.size, pin)
     if buffers.inside[point]:
         return size

@@ -77,11 +77,7 @@ class Dual(NamedTuple):
 
 @compiled
 def _collect(problem: ProblemArrays, routing: Routing, columns: Columns, begin: int) -> int:
-    """Adds the nets' present trees to the columns, from the net at place ``begin`` in the order.
-
-    Returns:
-        The place of the first net that there was no room for; the number of nets if there was.
-    """
+    """Adds the nets' trees as columns from place ``begin`` on; returns the first without room."""
     pool = routing.progress[0].pool
     for index in range(begin, len(routing.order)):
         net = routing.order[index]
@@ -120,11 +116,7 @@ def _collect(problem: ProblemArrays, routing: Routing, columns: Columns, begin: 
 
 @compiled
 def _relax(columns: Columns, dual: Dual, iterations: int) -> float:
-    """Goes on with the linear program.
-
-    Returns:
-        The overflow of the shares, in tracks.
-    """
+    """Goes on with the linear program; returns the overflow of the shares, in tracks."""
     latest, before, first = columns.latest, columns.before, columns.first
     share, next_share = columns.share, columns.next_share
     edge_of, take, capacity = columns.edge, columns.take, dual.capacity

@@ -57,11 +57,7 @@ def _choose(problem: ProblemArrays, routing: Routing) -> int:
 
 @compiled
 def _displaced(routing: Routing, together: int, last: int) -> int:
-    """Another net than the last one on an overflowed edge of those in ``routing.together``.
-
-    Returns:
-        The net; -1 if there is none.
-    """
+    """Another net than the last on an overflowed edge of those together; -1: none."""
     progress = routing.progress[0]
     ties, found, chosen = i64(0), i64(-1), i64(-1)
     for k in range(together):
