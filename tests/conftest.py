@@ -66,8 +66,9 @@ def warm_up(config: pytest.Config) -> None:
         return
     print("compiling what the tests share, once per version: about 90 s", file=sys.stderr)
     command = [sys.executable, str(Path(__file__).with_name("warm_up.py"))]
-    # These take about as long, and what the second needs of the first is compiled by then.
-    halves = [subprocess.Popen([*command, *half]) for half in (["games"], ["routers", "trainings"])]
+    # These take about as long, and what one needs of the other is compiled by then.
+    parts = ["rip_up", "trainings"], ["plain", "routers"]
+    halves = [subprocess.Popen([*command, *half]) for half in parts]
     for half in halves:
         half.wait()  # should one fail, the tests compile the rest, and say what is wrong
 

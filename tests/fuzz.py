@@ -588,9 +588,9 @@ KINDS: dict[str, Kind] = {
     "solution": Kind(solutions, 80, 20_000),
     "guide": Kind(guides, 80, 5_000),
     "segments": Kind(segments, 80, 5_000),
-    "configuration of a training": Kind(trainings, 50, 10_000),
+    "configuration of a training": Kind(trainings, 25, 10_000),
     "configuration of an experiment": Kind(experiments, 30, 4_000),
-    "overrides": Kind(overrides, 50, 10_000),
+    "overrides": Kind(overrides, 25, 10_000),
     **{
         f"rows of {kind}": Kind(functools.partial(rows, kind=kind, kinds=READ), 50, 5_000)
         for kind in READ
@@ -599,10 +599,10 @@ KINDS: dict[str, Kind] = {
         f"figures of {kind}": Kind(functools.partial(rows, kind=kind, kinds=DRAWN), 10, 200)
         for kind in DRAWN
     },
-    "checkpoint": Kind(checkpoints, 30, 3_000, all_trained),
+    "checkpoint": Kind(checkpoints, 15, 3_000, all_trained),
     "policy": Kind(policies, 30, 2_000, all_trained),
     "training": Kind(started_anew, 15, 2_000, all_trained),
-    "run folder": Kind(run_folders, 20, 1_000, all_trained),
+    "run folder": Kind(run_folders, 10, 1_000, all_trained),
     "result of a benchmark": Kind(benchmarks, 50, 5_000),
     "experiment folder": Kind(experiment_folders, 4, 200, compared),
 }

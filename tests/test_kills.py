@@ -57,7 +57,7 @@ def comparison(folder: Path) -> list[str]:
 
 def generation(_: Path) -> list[str]:
     """Problems that take a while."""
-    return ["generate", "--count", "150", "--nets", "30", "--out", "out"]
+    return ["generate", "--count", "100", "--nets", "30", "--out", "out"]
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -90,7 +90,7 @@ COMMANDS = {
     "train, drawn": Command(
         lambda folder: training(folder, shared=True, games=3, problem=test_run.DRAWN),
         test_run.outcome,
-        4,
+        3,
         25,
     ),
     "train, multi": Command(

@@ -1,6 +1,6 @@
 """Compiles what many tests use, so that test processes side by side do not each compile it.
 
-python tests/warm_up.py games|routers|trainings …
+python tests/warm_up.py plain|rip_up|routers|trainings …
 """
 
 import sys
@@ -15,14 +15,18 @@ ROUTERS: dict[str, dict[str, Any]] = {
     "pathfinder": {},
     "optimal": {},
     "greedy": {},
-    "generalist": {"seconds": 0.05},  # the last: by then the other process has compiled the games
+    "generalist": {"seconds": 0.05},  # the last: by then the other process has compiled the rip-up
 }
-GAMES: list[dict[str, Any]] = [
+PLAIN: list[dict[str, Any]] = [
     {},
     {"reward": "team"},
     {"observation": "window"},
+]
+RIP_UP: list[dict[str, Any]] = [
     {"rip_up": {"rounds": 1}, "reward": "team"},
     {"rip_up": {"rounds": 1}, "target": "tree", "next_pin": "nearest", "mask": {"visited": True}},
+    {"rip_up": {"rounds": 1}, "reward": "team", "observation": "window"},
+    {"rip_up": {"rounds": 1}, "observation": "window"},
 ]
 TRAININGS: list[dict[str, Any]] = [
     {"env": {"agents": "single"}},
@@ -31,10 +35,10 @@ TRAININGS: list[dict[str, Any]] = [
 ]
 
 
-def games() -> None:
+def play(games: list[dict[str, Any]]) -> None:
     """Plays a few steps of batches."""
     problems = generate(2, (6, 6, 2), 8, max_pins=3, capacity=2, seed=1)
-    for options in GAMES:
+    for options in games:
         for everyone in (True, False):
             env = BatchEnv(problems, everyone=everyone, **options)
             _, info = env.reset()
@@ -67,4 +71,9 @@ def trainings() -> None:
 
 if __name__ == "__main__":
     for part in sys.argv[1:]:
-        {"games": games, "routers": routers, "trainings": trainings}[part]()
+        {
+            "plain": lambda: play(PLAIN),
+            "rip_up": lambda: play(RIP_UP),
+            "routers": routers,
+            "trainings": trainings,
+        }[part]()
