@@ -174,7 +174,7 @@ def test_rules_have_the_costs_of_the_price_of_anarchy(
         for rule, sight in ((RULES[1], "radius 0"), (LocalRouter(radius=None), "full sight")):
             options = f"local rule={rule.rule} radius=null"
             shown = row_of(capsys, "--router", options, "--name", rule.rule)
-            expected = next(of for of in stored if of.split == "test" and of.of(rule))
+            expected = next(of for of in stored if of.split == "test" and of.router == rule)
             assert shown["cost"] == pytest.approx(expected.cost, abs=1e-4)
             assert shown["sight"] == sight
         planner = row_of(capsys, "--router", "optimal", "--name", "optimal")
