@@ -14,7 +14,7 @@ import contextlib
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from types import FrameType
 
 from marouting.first import leave
@@ -91,6 +91,49 @@ def interruptible() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
         sys.unraisablehook = told
         _work = None
+
+
+class Held:
+    """Signals that have come and are held back.
+
+    Attributes:
+        numbers: which, in their order.
+        begun: whether there is anything that an interrupt would lose; until then none is held.
+    """
+
+    def __init__(self) -> None:
+        self.numbers: list[int] = []
+        self.begun = False
+
+
+@contextlib.contextmanager
+def holding(*numbers: int, tell: Callable[[], object] = bool) -> Iterator[Held]:
+    """Holds Ctrl-C and SIGTERM back, for the work to end well; a second one ends it at once.
+
+    Args:
+        *numbers: the signals. One with another handler than the usual one is somebody else's.
+        tell: called when one is held back.
+    """
+    held = Held()
+    usual = (signal.default_int_handler, interrupt, signal.SIG_DFL)
+
+    def hold(number: int, frame: FrameType | None) -> None:
+        if held.numbers or (number == signal.SIGINT and not held.begun):
+            interrupt(signal.SIGINT, frame)
+        else:
+            held.numbers.append(number)
+            tell()
+
+    ours = threading.current_thread() is threading.main_thread()  # signals are not for others
+    before = {number: signal.getsignal(number) for number in numbers if ours}
+    before = {number: handler for number, handler in before.items() if handler in usual}
+    for number in before:
+        signal.signal(number, hold)
+    try:
+        yield held
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _later(number: int) -> None:

@@ -421,7 +421,7 @@ def there(tmp_path_factory: pytest.TempPathFactory) -> Path:
     trainer = Trainer({"p": first}, build(Config, raw))
     for _ in trainer.run():
         pass
-    torch.save(trainer.policy(), folder / "policy.pt")
+    torch.save(trainer.saved.state(), folder / "policy.pt")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         patch.syspath_prepend(folder)

@@ -17,7 +17,7 @@ from marouting import InputError, evaluate_policy, scenarios
 from policies.cli.main import status
 from policies.experiment import experiment
 from policies.experiment.anarchy import FOLDER, RULES, best_local, read_rows
-from policies.experiment.benchmark import Course, from_text
+from policies.experiment.benchmark import from_text
 from policies.experiment.leaderboard import read_groups
 from policies.experiment.played import About
 from policies.experiment.result import Outcome, Result, Scale, Task, read_result, summarise
@@ -147,11 +147,12 @@ def test_figures_are_those_of_train_and_of_evaluate_policy(
     assert both["score"]["mean"] == pytest.approx(sum(scores) / 2)
     assert [both["score"]["low"], both["score"]["high"]] == pytest.approx(sorted(scores))
     # Trained by the benchmark itself, it is the same.
-    options = [*(f"train.{name}" for name in ("problems=64", "figures=false"))]
-    again = row_of(capsys, "--router", "ppo", "--training-steps", "2500", "--seeds", "2", *options)
+    options = ["train.problems=64", "train.figures=false", "--training-steps", "2500"]
+    again = row_of(capsys, "--router", "ppo", "--name", "again", "--seeds", "2", *options)
     assert again["costs"] == both["costs"]
-    result = read_result(Path("out", f"{GATES}.ppo.json"))
-    assert result.budget is None or "2500" in result.budget
+    result = read_result(Path("out", f"{GATES}.again.json"))
+    assert result.budget == "2500 agent-steps"
+    assert "--name again --training-steps 2500 --seeds 2" in result.command
 
 
 @pytest.mark.parametrize("name", [GATES, "braess-v0", "online-8x8-v0", "multi-pin-once-8x8-v0"])
@@ -176,7 +177,7 @@ def test_rules_have_the_costs_of_the_price_of_anarchy(
         for rule, sight in ((RULES[1], "radius 0"), (LocalRouter(radius=None), "full sight")):
             options = f"local rule={rule.rule} radius=null"
             shown = row_of(capsys, "--router", options, "--name", rule.rule)
-            expected = next(of for of in stored if of.split == "test" and of.of(rule))
+            expected = next(of for of in stored if of.split == "test" and of.router == rule)
             assert shown["cost"] == pytest.approx(expected.cost, abs=1e-4)
             assert shown["sight"] == sight
         planner = row_of(capsys, "--router", "optimal", "--name", "optimal")
@@ -256,24 +257,21 @@ def test_contradictions_are_one_line(
 
 
 def test_a_training_ends_with_its_time(capsys: pytest.CaptureFixture[str]) -> None:
-    options = ["train.problems=64", "train.figures=false"]
+    options = ["train.problems=64", "train.figures=false", "train.seconds=1.5"]
     words = [
         "--router",
         "ppo",
         "--name",
         "ppo",
-        "--training-seconds",
-        "1.5",
         "--seeds",
         "1",
-        *options,
     ]
     row = row_of(capsys, *words, *options, split="validation", out="timed")
     assert 1.5 <= row["training_seconds"] < 15
     assert 0 < row["agent_steps"] < 1_000_000
     result = read_result(Path("timed", f"{GATES}.validation.ppo.json"))
     assert result.budget == "1500000 agent-steps, 1.5 s of training"
-    entry = from_text("ppo", None, None, Course(scenario=GATES, seconds=2.5))
+    entry = from_text("ppo train.seconds=2.5", None, None, GATES)
     assert entry.options["train"]["seconds"] == 2.5
 
 

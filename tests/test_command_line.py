@@ -170,15 +170,20 @@ def test_ctrl_c_ends_a_route_with_the_best_so_far(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("policies.cli.progress._OFTEN", 0.0)
-    before, router = signal.getsignal(signal.SIGINT), f"{__name__}:Patient"
-    assert status(["route", "p.gr", "--router", router, "--out", "best", "--json"]) == 0
+    router = f"{__name__}:Patient"
+    # As in a terminal: a test run in the background inherits that Ctrl-C is ignored.
+    inherited = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        assert status(["route", "p.gr", "--router", router, "--out", "best", "--json"]) == 0
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, inherited)
     shown = capsys.readouterr()
     assert json.loads(shown.out)["router"] == router
     lines = shown.err.splitlines()
     assert lines[0] == f"{router}: one of many"
     assert lines[1] == "stopping with the best solution so far; Ctrl-C again discards it"
     assert Path("best").exists()
-    assert signal.getsignal(signal.SIGINT) is before
 
 
 class Killed(Patient):

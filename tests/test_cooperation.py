@@ -101,7 +101,7 @@ def test_stored_costs_are_those_of_the_rules(name: str) -> None:
     rows = read_rows(FOLDER / f"{name}.csv")
     rules = (RULES[1], RULES[4]) if name == LARGE else (*RULES[:2], SELFISH, DETOUR, *RULES[-9:-7])
     for rule in rules:
-        stored = next(row for row in rows if row.split == "test" and row.of(rule))
+        stored = next(row for row in rows if row.split == "test" and row.router == rule)
         assert replace(measure(scenarios.get(name), "test", rule), seconds=stored.seconds) == stored
 
 
@@ -109,7 +109,7 @@ def test_what_is_not_worth_playing() -> None:
     rows = read_rows(FOLDER / "gates-8x7-v0.csv")
 
     def costing(rule: LocalRouter, cost: float) -> list[Row]:
-        return [replace(row, cost=cost) if row.of(rule) else row for row in rows]
+        return [replace(row, cost=cost) if row.router == rule else row for row in rows]
 
     assert refused(costing(SELFISH, 1.149)).startswith("selfish nets cost 1.149, less than 1.15")
     assert "radius 2, price 4" in refused(costing(LocalRouter(radius=2, price=4), 1.02))
@@ -174,7 +174,9 @@ def test_the_short_cut_makes_all_worse_off() -> None:
     assert max(longer) == 4
     rows = read_rows(FOLDER / "braess-v0.csv")
     closed_cost = next(row.cost for row in rows if row.scenario == NO_SHORT_CUT)
-    assert closed_cost < next(row.cost for row in rows if row.split == "test" and row.of(SELFISH))
+    assert closed_cost < next(
+        row.cost for row in rows if row.split == "test" and row.router == SELFISH
+    )
 
 
 def test_nets_that_arrive_later_are_not_seen() -> None:

@@ -44,7 +44,7 @@ from policies.results.statistics import (
     by_router,
     by_set,
     mean_interval,
-    mean_wirelength,
+    mean_over_seeds,
     rank,
     share_interval,
     summarise,
@@ -1238,11 +1238,11 @@ def test_a_reference_with_seeds_meets_every_seed(worked: list[dict[str, Any]]) -
 
 
 def test_what_nobody_joins_has_no_wirelength(worked: list[dict[str, Any]]) -> None:
-    lengths = {name: mean_wirelength(own) for name, own in by_router(worked).items()}
+    lengths = {name: mean_over_seeds(own, "wirelength") for name, own in by_router(worked).items()}
     np.testing.assert_array_equal(lengths["dqn"], [102, 92, 79])
     for own in worked:
         own["joined"] = 0
-    assert np.isnan(mean_wirelength(by_router(worked)["astar"])).all()
+    assert np.isnan(mean_over_seeds(by_router(worked)["astar"], "wirelength")).all()
 
 
 def test_sets_are_taken_together_for_routers_that_are_for_all(

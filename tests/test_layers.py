@@ -74,7 +74,7 @@ ROOMS = {
         ("learned.burn_in", "learned.config", "learned.policy"),
         ("generalist",),
         ("learned.on_device",),
-        ("learned.trainer", "learned.device_trainer"),
+        ("learned.saved", "learned.trainer", "learned.device_trainer"),
         ("learned.logs", "learned.router", "learned.run"),
         ("learned",),
         ("experiment",),

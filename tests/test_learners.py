@@ -81,6 +81,7 @@ def player_of(
 def setup_of(player: Player, names: Sequence[str] = ("a", "b", "c"), **changes: Any) -> Setup:
     """What a learner of a player's games starts with."""
     b, (columns, rows, layers) = player.buffers, player.engine.grid.shape
+    each = len(b.over) // len(names)
     given: dict[str, Any] = {
         "names": tuple(names),
         "games": len(b.over),
@@ -92,8 +93,18 @@ def setup_of(player: Player, names: Sequence[str] = ("a", "b", "c"), **changes: 
         "device": CPU,
         "threads": 1,
         "episodes": 10,
+        "game_names": tuple(f"{name}#{i}" for name in names for i in range(each)),
     }
     return Setup(**{**given, **changes})
+
+
+def state_dicts(stack: Stack) -> list[dict[str, torch.Tensor]]:
+    """The networks as ordinary modules have them."""
+    rows = (stack.row(n) for n in range(len(stack.flat)))
+    return [
+        {name: t.detach().clone() for name, t in (row.weights | row.buffers).items()}
+        for row in rows
+    ]
 
 
 SMALL: dict[str, Any] = {
@@ -196,7 +207,7 @@ def test_a_stack_is_its_networks_one_by_one(kind: str, count: int) -> None:
     shape, make = NETWORKS[kind]
     stack = Stack(make, range(count), CPU)
     modules = [make() for _ in range(count)]
-    for module, state in zip(modules, stack.state_dicts(), strict=True):
+    for module, state in zip(modules, state_dicts(stack), strict=True):
         module.load_state_dict(state)
     obs, slope = torch.randn(count, 5, *shape), torch.randn(count, 5, MOVES)
     outputs = stack.view(obs)
@@ -867,7 +878,7 @@ def test_a_network_learns_the_same_when_others_have_left(
     part.learn(np.array([1, 5]))
     for a, b in zip(tensors(whole), tensors(part), strict=True):
         np.testing.assert_allclose(a[stay], b, atol=1e-6)
-    assert len(part.weights()) == 2
+    assert len(state_dicts(part.networks)) == 2
 
 
 @pytest.mark.parametrize("kind", DQNS)
@@ -1098,7 +1109,7 @@ def test_saved_networks_are_ordinary_modules_that_walk_alike(name: str, multi: b
     problems = [tiny(7, nets=5), tiny(8, nets=3)]
     pairs = player_of([*problems, *problems], multi)  # of both networks beside one another
     learner.walk(pairs, np.arange(2))
-    for row, weights in enumerate(learner.weights()):
+    for row, weights in enumerate(state_dicts(learner.networks)):
         walked, other = player_of(problems, multi), player_of(problems, multi)
         learner.walk(walked, np.array([row]))
         module = learner.network(learner.options, (FEATURES,))

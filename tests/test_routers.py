@@ -115,7 +115,7 @@ def trained() -> dict[str, Trainer]:
 
 
 def saved(trainer: Trainer, path: Path) -> Path:
-    torch.save(trainer.policy(), path)
+    torch.save(trainer.saved.state(), path)
     return path
 
 
@@ -257,7 +257,7 @@ def test_a_damaged_policy_is_refused(
     change: Callable[[dict[str, Any]], Any], trained: dict[str, Trainer], tmp_path: Path
 ) -> None:
     path = tmp_path / "policy.pt"
-    state = trained["single"].policy()
+    state = trained["single"].saved.state()
     state["env"] = dict(state["env"])
     change(state)
     torch.save(state, path)
@@ -333,7 +333,7 @@ def test_learned_router_with_a_checkpoint_trains_nothing(
     problem = problem_of(5)
     routed, expected = router.solve(problem), TrainedPolicy.load(path, "q").solve(problem)
     assert router.route(problem) == routed.solution == expected.solution
-    after = int(trained["single"].policy_episode[1])
+    after = int(trained["single"].saved.episodes[1])
     assert routed.report == expected.report == {"from": f"policy after {after} episodes, greedy"}
     assert not watched
     with pytest.raises(InputError, match="expected the name of a problem in"):

@@ -110,7 +110,7 @@ def train(trainer: Trainer) -> list[Episode]:
 
 def networks_of(trainer: Trainer) -> torch.Tensor:
     """(networks, P) the saved networks."""
-    saved = trainer.policy()["weights"]
+    saved = trainer.saved.state()["weights"]
     return torch.stack([torch.cat([t.flatten() for t in one.values()]) for one in saved])
 
 
@@ -322,7 +322,7 @@ def test_moves_are_epsilon_greedy(agents: Any, masking: bool) -> None:
     )
     trainer = Trainer({"p": tiny(nets=5)}, config)
     first = config.learner.cls.network(config.learner.options, (12,))
-    first.load_state_dict(trainer.learner.weights()[0])
+    first.load_state_dict(trainer.learner.networks.row(0).weights)
     trainer.burn_in()
     burnt = int(trainer.learner.stored[0])
     episodes = train(trainer)

@@ -1,51 +1,31 @@
 """The command ``python -m policies.bench``: measures sections and prints or stores the figures."""
 
 import json
-import os
-import platform
 import sys
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import click
-import torch
 
 from marouting import InputError
 from marouting.files import check_writable, write_text
-from policies.bench.environment import batch, interfaces, large, observation, search, start
-from policies.bench.measure import Bench, Measurement
+from policies.bench.environment import batch, interfaces, observation, search, start
+from policies.bench.measure import Bench, Measurement, machine
 from policies.bench.training import training
 from policies.cli.main import status
 from policies.cli.options import FILE, WHOLE, json_option
-from policies.engines import processor
 
 SECTIONS: Mapping[str, Callable[[Bench], Iterator[Measurement]]] = {
     "start": start,
     "batch": batch,
     "observation": observation,
     "interfaces": interfaces,
-    "large": large,
     "search": search,
     "training": training,
 }
 """What can be measured, by name."""
-
-
-def machine() -> dict[str, Any]:
-    """What the figures were measured on."""
-    packages = ("numpy", "numba", "torch", "pettingzoo", "gymnasium", "scipy")
-    return {
-        "date": time.strftime("%Y-%m-%d"),
-        "processor": processor(),
-        "cores": os.cpu_count(),
-        "gpu": torch.cuda.get_device_name() if torch.cuda.is_available() else None,
-        "python": platform.python_version(),
-        **{name: metadata.version(name) for name in packages},
-    }
 
 
 def run(sections: Sequence[str], bench: Bench) -> dict[str, Any]:
@@ -104,7 +84,7 @@ def main(
 ) -> None:
     """Measure speed, as ratios to comparators that run in turns with the code.
 
-    SECTION is one of start, batch, observation, interfaces, large, search and training; without it
+    SECTION is one of start, batch, observation, interfaces, search and training; without it
     everything is measured, which takes several minutes.
     """
     if out is not None:

@@ -6,6 +6,7 @@ the form of the ISPD 2024 contest.
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,38 +19,23 @@ CHIPS = {
 """Grid, nets, capacity and most pins by name."""
 
 
-def chip(name: str, seed: int = 1) -> Problem:
-    """A problem with local nets, layers of one direction each and three hot spots."""
-    grid, nets, capacity, pins = CHIPS[name]
-    return generate(
-        grid=grid,
-        nets=nets,
-        max_pins=pins,
-        capacity=capacity,
-        reduced_edges=0,
-        rent=0.7,
-        hot_spots=3,
-        seed=seed,
-    )[0]
+def _local_nets(
+    grid: tuple[int, int, int], nets: int, capacity: int, pins: int, hot_spots: int = 0
+) -> Problem:
+    """A problem with local nets and layers of one direction each."""
+    options: Any = {"reduced_edges": 0, "rent": 0.7, "seed": 1, "hot_spots": hot_spots}
+    return generate(1, grid, nets=nets, max_pins=pins, capacity=capacity, **options)[0]
 
 
-def write_contest(path: Path, nets: int, seed: int = 1) -> None:
+def write_contest(path: Path, nets: int) -> None:
     """Writes a problem of the ISPD 2024 contest, PATH.cap and PATH.net.
 
     A wire of one Gcell costs 5 and a via 4, as in the contest; a Gcell that is just full 0.8 to
     2.6. There are 4 to 8 tracks in a Gcell.
     """
     side = round(nets**0.5)
-    grid, rng = (side, side, 8), np.random.default_rng(seed)
-    problem = generate(
-        grid=grid,
-        nets=nets,
-        max_pins=5,
-        capacity=9,
-        reduced_edges=0,
-        rent=0.7,
-        seed=seed,
-    )[0]
+    grid, rng = (side, side, 8), np.random.default_rng(1)
+    problem = _local_nets(grid, nets, 9, 5)
     lines = [
         f"{grid[2]} {side} {side}",
         "0.00131579 4 " + " ".join(str(0.5 + 0.3 * z) for z in range(grid[2])),
@@ -70,12 +56,12 @@ def write_contest(path: Path, nets: int, seed: int = 1) -> None:
     path.with_suffix(".net").write_text("\n".join(text) + "\n", encoding="utf-8")
 
 
-def main(folder: Path, nets: int = 50_000) -> None:
+def main(folder: Path) -> None:
     """Writes all three."""
     folder.mkdir(parents=True, exist_ok=True)
-    for name in CHIPS:
-        chip(name).write(folder / f"{name}.gr")
-    write_contest(folder / "contest", nets)
+    for name, options in CHIPS.items():
+        _local_nets(*options, hot_spots=3).write(folder / f"{name}.gr")
+    write_contest(folder / "contest", 50_000)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Speed of the environment: its interfaces, its start, its memory; and of A*."""
+"""Speed of the environment: its interfaces and its start; and of A*."""
 
 import json
 import os
@@ -17,8 +17,8 @@ from marouting.vector import BatchEnv
 from policies.bench.measure import Bench, Measurement, Work
 
 
-def _problem(nets: int = 50, seed: int = 0) -> Problem:
-    return generate(1, nets=nets, seed=seed)[0]
+def _problem() -> Problem:
+    return generate(1)[0]
 
 
 def _batched(threads: int, steps: int = 60, problems: int = 1024, **options: Any) -> Work:
@@ -80,7 +80,7 @@ def observation(bench: Bench) -> Iterator[Measurement]:
         )
 
 
-def _parallel(env: Any, steps: int = 300) -> Work:
+def _parallel(env: Any) -> Work:
     """All agents of a Parallel environment, moving in circles."""
     env.reset(seed=0)
     moves = [
@@ -90,7 +90,7 @@ def _parallel(env: Any, steps: int = 300) -> Work:
 
     def work() -> float:
         done = 0
-        for step in range(steps):
+        for step in range(300):
             if not env.agents:
                 env.reset()
             everybody = moves[step % MOVES]
@@ -160,24 +160,16 @@ def interfaces(bench: Bench) -> Iterator[Measurement]:
 # --- A* -------------------------------------------------------------------------------------------
 
 
-def _graph(problem: Problem) -> Any:
-    """The grid as a graph of networkx."""
+def _networkx(problem: Problem, tasks: int | None = None) -> Work:
+    """Tasks of a problem, all or so many, as shortest paths of networkx: less than A* does here."""
     import networkx
 
     grid = Grid.of(problem.grid)
     graph = networkx.Graph()
     edges = np.flatnonzero(grid.exists)
     graph.add_edges_from(zip(*(ends.tolist() for ends in grid.ends(edges)), strict=True), weight=1)
-    return graph
-
-
-def _networkx(problem: Problem, tasks: int | None = None) -> Work:
-    """Tasks of a problem, all or so many, as shortest paths of networkx: less than A* does here."""
-    import networkx
-
-    graph = _graph(problem)
     pairs = two_pin_tasks(problem)[:tasks, 1:].tolist()
-    position = Grid.of(problem.grid).position.tolist()
+    position = grid.position.tolist()
 
     def distance(a: int, b: int) -> int:
         return sum(abs(p - q) for p, q in zip(position[a], position[b], strict=True))
@@ -242,44 +234,12 @@ env.last()
 print(json.dumps([imported - started, time.perf_counter() - imported]))
 """
 
-_LARGE = """
-import gc, json, os, sys, time
-from marouting import generate, global_routing_v0
 
-def megabytes():
-    # What the process has in memory now.
-    gc.collect()
-    pages = int(open("/proc/self/statm").read().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
-
-make = getattr(global_routing_v0, sys.argv[1])
-make().reset(seed=0)  # compiled code is there, whoever plays
-problem = generate(1, grid=(64, 64, 2), nets=10_000, capacity=60, reduced_edges=0)[0]
-before = megabytes()
-made = time.perf_counter()
-env = make(problem)
-env.reset(seed=0)
-reset = time.perf_counter()
-env.reset(seed=0)
-done = time.perf_counter()
-# An episode touches what has only been promised.
-for step in range(60 if sys.argv[1] == "parallel_env" else 300_000):
-    if not env.agents:
-        break
-    if sys.argv[1] == "parallel_env":
-        env.step({agent: (step + i) % 6 for i, agent in enumerate(env.agents)})
-    else:
-        over = env.terminations[env.agent_selection] or env.truncations[env.agent_selection]
-        env.step(None if over else step % 6)
-print(json.dumps([megabytes() - before, reset - made, done - reset]))
-"""
-
-
-def _child(code: str, *arguments: str, **variables: str) -> list[float]:
-    """The numbers that a Python program prints."""
+def _started(cache: str) -> list[float]:
+    """Seconds of the import and of the first environment, in a process with a cache."""
     done = subprocess.run(
-        [sys.executable, "-c", code, *arguments],
-        env={**os.environ, **variables},
+        [sys.executable, "-c", _START],
+        env={**os.environ, "NUMBA_CACHE_DIR": cache},
         capture_output=True,
         check=True,
         text=True,
@@ -291,8 +251,8 @@ def _child(code: str, *arguments: str, **variables: str) -> list[float]:
 def start(bench: Bench) -> Iterator[Measurement]:
     """Import and first environment, with and without compiled code on disk."""
     with tempfile.TemporaryDirectory() as cache:
-        cold = _child(_START, NUMBA_CACHE_DIR=cache)
-        warm = [_child(_START, NUMBA_CACHE_DIR=cache) for _ in range(bench.repeats)]
+        cold = _started(cache)
+        warm = [_started(cache) for _ in range(bench.repeats)]
     imports, first = (sorted(column) for column in zip(*warm, strict=True))
     middle = len(imports) // 2
     yield Measurement("import marouting", imports[middle], imports[0], "s")
@@ -307,16 +267,3 @@ def start(bench: Bench) -> Iterator[Measurement]:
         cold[1],
         cold[1] / first[middle],
     )
-
-
-def large(bench: Bench) -> Iterator[Measurement]:
-    """Memory (on Linux alone) and reset of an environment of ten thousand nets."""
-    del bench
-    if sys.platform != "linux":
-        return
-    for made_by in ("raw_env", "parallel_env"):
-        megabytes, made, reset = _child(_LARGE, made_by)
-        name = f"{made_by}, 10 000 nets on 64×64×2"
-        yield Measurement(f"{name}: memory", megabytes, megabytes, "MB")
-        yield Measurement(f"{name}: making it", made, made, "s")
-        yield Measurement(f"{name}: reset()", reset, reset, "s")

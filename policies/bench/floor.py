@@ -13,25 +13,21 @@ from marouting.problem.grid import MOVES
 class EmptyAEC(AECEnv):
     """An AEC environment whose step passes the turn on.
 
-    What it hands out is made once: a constant observation, a reward of 0, an info with a constant
-    action mask. Nobody ever terminates.
-
-    Args:
-        agents: how many.
-        features: numbers an observation, float32.
+    It has 50 agents. What it hands out is made once: a constant observation, a reward of 0, an info
+    with a constant action mask. Nobody ever terminates.
     """
 
     metadata = {"name": "empty_v0", "is_parallelizable": True}  # noqa: RUF012
 
-    def __init__(self, agents: int = 50, features: int = 12) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.possible_agents = [f"net_{n}" for n in range(agents)]
+        self.possible_agents = [f"net_{n}" for n in range(50)]
         following = self.possible_agents[1:] + self.possible_agents[:1]
         self._following = dict(zip(self.possible_agents, following, strict=True))
-        self._observation = np.zeros(features, np.float32)
+        self._observation = np.zeros(12, np.float32)
         self._mask = np.ones(MOVES, np.int8)
         self.observation_spaces = {
-            agent: Box(-np.inf, np.inf, (features,), np.float32) for agent in self.possible_agents
+            agent: Box(-np.inf, np.inf, (12,), np.float32) for agent in self.possible_agents
         }
         self.action_spaces = {agent: Discrete(MOVES) for agent in self.possible_agents}
 

@@ -1,11 +1,18 @@
 """How speed is measured: repeats in turns with a comparator, medians, ratios."""
 
+import os
+import platform
 import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import metadata
+from typing import Any
+
+import torch
 
 from marouting.config import check
+from policies.engines import processor
 
 
 @dataclass(frozen=True)
@@ -31,6 +38,25 @@ class Measurement:
     comparator: str = ""
     against: float | None = None
     ratio: float | None = None
+
+
+def machine() -> dict[str, Any]:
+    """What the figures were measured on; of packages that are not installed None."""
+    packages = ("numpy", "numba", "numba-cuda", "torch", "pettingzoo", "gymnasium", "scipy", "jax")
+    found: dict[str, str | None] = {}
+    for name in packages:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            found[name] = None
+    return {
+        "date": time.strftime("%Y-%m-%d"),
+        "processor": processor(),
+        "cores": os.cpu_count(),
+        "gpu": torch.cuda.get_device_name() if torch.cuda.is_available() else None,
+        "python": platform.python_version(),
+        **found,
+    }
 
 
 Work = Callable[[], float]

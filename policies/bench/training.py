@@ -20,15 +20,11 @@ PAPER = (32, 64, 32)
 """Hidden layers of the paper's network."""
 
 
-def _sizes() -> tuple[int, ...]:
-    return (12, *PAPER, MOVES)
-
-
-def _eager(steps: int = 150) -> Work:
+def _eager() -> Work:
     """The gradient steps of a DQN written in torch as in any tutorial."""
     torch.manual_seed(0)
     layers: list[nn.Module] = []
-    for inputs, outputs in itertools.pairwise(_sizes()):
+    for inputs, outputs in itertools.pairwise((12, *PAPER, MOVES)):
         layers += [nn.Linear(inputs, outputs), nn.ReLU()]
     online = nn.Sequential(*layers[:-1])
     target = nn.Sequential(*layers[:-1])
@@ -40,7 +36,7 @@ def _eager(steps: int = 150) -> Work:
 
     def work() -> float:
         torch.set_num_threads(1)  # more cost more than they save on a network this small
-        for _ in range(steps):
+        for _ in range(150):
             rows = rng.integers(50_000, size=32)
             with torch.no_grad():
                 best = target(torch.from_numpy(seen[rows])).max(dim=1).values
@@ -51,22 +47,22 @@ def _eager(steps: int = 150) -> Work:
             adam.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
             adam.step()
-        return steps
+        return 150
 
     return work
 
 
-def _trainer(stack: int, threads: int, device: str = "cpu", **learner: Any) -> Trainer:
-    """A training of the paper's DQN on problems of its Table 2."""
-    problems = {f"problem_{m}": problem for m, problem in enumerate(generate(stack))}
+def _trainer(problems: int, threads: int = 1, **raw: Any) -> Trainer:
+    """A training on problems of the paper's Table 2."""
+    made = {f"problem_{m}": problem for m, problem in enumerate(generate(problems))}
     use_threads(threads)
-    raw = {"learner": learner, "train": {"threads": threads, "device": device, "episodes": 5000}}
-    return Trainer(problems, build(Config, raw))
+    return Trainer(made, build(Config, raw))
 
 
 def _training(stack: int, threads: int, device: str = "cpu") -> Work:
     """The whole training loop of the paper's DQN: gradient steps, one per move."""
-    trainer = _trainer(stack, threads, device)
+    run = {"threads": threads, "device": device, "episodes": 5000}
+    trainer = _trainer(stack, threads, train=run)
     trainer.burn_in()
     loop = trainer.run()
     rounds = 40 if stack == 1 else 2
@@ -81,16 +77,14 @@ def _training(stack: int, threads: int, device: str = "cpu") -> Work:
     return work
 
 
-def _samples(kind: str, problems: int = 4, **learner: Any) -> Work:
-    """Agent-steps of a training with every net an agent, learning included, on one core."""
-    use_threads(1)
-    made = {f"problem_{m}": problem for m, problem in enumerate(generate(problems))}
-    raw = {
-        "env": {"agents": "multi"},
-        "learner": {"kind": kind, **learner},
-        "train": {"episodes": 10**6, "shared": True},
-    }
-    loop = Trainer(made, build(Config, raw)).run()
+def _ppo() -> Work:
+    """Agent-steps of a PPO with every net an agent, learning included, on one core."""
+    loop = _trainer(
+        4,
+        env={"agents": "multi"},
+        learner={"kind": "ppo", "network": {"kind": "mlp", "hidden": [64, 64]}},
+        train={"episodes": 10**6, "shared": True},
+    ).run()
 
     def work() -> float:
         use_threads(1)
@@ -113,7 +107,7 @@ def training(bench: Bench) -> Iterator[Measurement]:
     yield bench.versus(
         "PPO, 4 problems sharing a network of two layers of 64",
         "agent-steps/s",
-        _samples("ppo", network={"kind": "mlp", "hidden": [64, 64]}),
+        _ppo(),
     )
     if torch.cuda.is_available():
         name = "320 stacked on a GPU, whole training"

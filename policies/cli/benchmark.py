@@ -2,6 +2,7 @@
 
 import json
 import shlex
+from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
@@ -132,13 +133,7 @@ def benchmark(
     from policies.cli.progress import problems_bar
     from policies.cli.resolved import check_kind
     from policies.cli.tables import show_benchmark
-    from policies.experiment.benchmark import (
-        Benchmark,
-        BenchmarkConfig,
-        Course,
-        from_text,
-        load_entries,
-    )
+    from policies.experiment.benchmark import Benchmark, BenchmarkConfig, from_text, load_entries
     from policies.experiment.config import Budget, Entry, Split
     from policies.experiment.result import read_result, summarise
     from policies.routers.registry import unknown
@@ -162,20 +157,26 @@ def benchmark(
     alone = scored[0] if len(chosen) == 1 and scored else None
     if not routers and config is None:
         config = RULES if scored == chosen else BASELINES
-    course = Course(scenario=alone, steps=training_steps, seconds=training_seconds)
+    bounds = {"steps": training_steps, "seconds": training_seconds}
+    bounds = {key: most for key, most in bounds.items() if most is not None}
+    for key in bounds:
+        twice = any(f"train.{key}=" in text for text in (*overrides, *routers))
+        check(f"train.{key}", not twice, f"none beside --training-{key}")
     entries: list[Entry] = []
     if config is not None:
         check_kind(config, "benchmark")
-        entries, settings = load_entries(config, [*overrides, *own], given, course)
+        entries, settings = load_entries(config, [*overrides, *own], given, alone)
     elif overrides and len(routers) != 1:
         raise InputError(f"{overrides[0]}: expected --config or one --router with it")
     for text in routers:
         more = "" if config is not None else f" {shlex.join(overrides)}" if overrides else ""
-        entries.append(from_text(f"{text}{more}", name, given, course))
-    for bound, most in course.bounds.items():
-        trained = most is None or any(entry.zero_shot for entry in entries)
+        entries.append(from_text(f"{text}{more}", name, given, alone))
+    for key, most in bounds.items():
+        trained = any(entry.zero_shot for entry in entries)
         what = "a learner to train, and one scenario of docs/cooperation.md"
-        check(f"--training-{bound}", trained, what)
+        check(f"--training-{key}", trained, what)
+        told = f" --training-{key} {most}"
+        entries = [replace(e, source=e.source + told * bool(e.zero_shot)) for e in entries]
     run = Benchmark(
         chosen,
         entries,
@@ -184,6 +185,7 @@ def benchmark(
         seeds=settings.seeds if seeds is None else seeds,
         jobs=settings.jobs,
         engine=settings.engine,
+        train={**settings.train, **bounds},
     )
     with problems_bar("benchmark") as watch:
         files = run.execute(watch)["files"]

@@ -7,12 +7,13 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
-from types import FrameType, MappingProxyType
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import click
 
 from marouting import Solution
+from policies.interrupts import holding
 from policies.routers.base import Keeper, Router, Watched
 
 if TYPE_CHECKING:
@@ -126,20 +127,19 @@ def waiting(
     with contextlib.ExitStack() as stack:
         show = stack.enter_context(_shown(text))
         if isinstance(router, Watched):
-            begun = threading.Event()
-            asked = stack.enter_context(_asked(begun))
+            held = stack.enter_context(holding(signal.SIGINT, tell=_tell_stopping))
             saved = time.monotonic()
 
             def watch(line: str) -> bool:
                 nonlocal saved
-                begun.set()
+                held.begun = True
                 show(f"{name}: {line}")
                 if save is not None and time.monotonic() - saved >= SAVED_EVERY:
                     best = router.best() if isinstance(router, Keeper) else None
                     if best is not None:
                         save(best)
                     saved = time.monotonic()
-                return asked.is_set()
+                return bool(held.numbers)
 
             router.watch = watch
             stack.callback(setattr, router, "watch", None)
@@ -177,28 +177,8 @@ def _shown(text: str) -> Iterator[Callable[[str], None]]:
         timer.cancel()
 
 
-@contextlib.contextmanager
-def _asked(begun: threading.Event) -> Iterator[threading.Event]:
-    """Whether Ctrl-C has been pressed; pressed again it does what it did before."""
-    asked = threading.Event()
-    before = signal.getsignal(signal.SIGINT)
-
-    def ask(number: int, frame: FrameType | None) -> None:
-        if not begun.is_set() and callable(before):
-            before(number, frame)
-            return
-        asked.set()
-        signal.signal(signal.SIGINT, before)
-        click.echo("stopping with the best solution so far; Ctrl-C again discards it", err=True)
-
-    if threading.current_thread() is not threading.main_thread():
-        yield asked  # signals are not for other threads
-        return
-    signal.signal(signal.SIGINT, ask)
-    try:
-        yield asked
-    finally:
-        signal.signal(signal.SIGINT, before)
+def _tell_stopping() -> None:
+    click.echo("stopping with the best solution so far; Ctrl-C again discards it", err=True)
 
 
 _QUIET = 3.0

@@ -147,47 +147,32 @@ def show_benchmark(summaries: Sequence[Mapping[str, Any]]) -> None:
         summaries: as :func:`policies.experiment.result.summarise` returns them.
     """
     # Not for the other tables.
-    from policies.experiment.leaderboard import POLICY_COLUMNS, cells_of, policy_cells
+    from policies.experiment import leaderboard
 
     for scenario in dict.fromkeys(row["scenario"] for row in summaries):
         rows = [row for row in summaries if row["scenario"] == scenario]
         rows.sort(key=lambda row: (row["score"] is None, -(row["score"] or {"mean": 0})["mean"]))
         columns = {"router": [row["name"] for row in rows]}
         of_policies = "sight" in rows[0]
-        headings, cells = (POLICY_COLUMNS, policy_cells) if of_policies else (_BENCHMARK, cells_of)
+        headings = leaderboard.POLICY_COLUMNS if of_policies else _BENCHMARK
+        cells = leaderboard.policy_cells if of_policies else leaderboard.cells_of
         columns |= zip(headings, map(list, zip(*map(cells, rows), strict=True)), strict=True)
         problems, seeds = rows[0]["problems"], max(row["seeds"] for row in rows)
         of = f"{problems} {rows[0]['split']} problems"
         if seeds > 1:
             of += f", up to {seeds} seeds"
         _print(f"{scenario}: {of}", columns, ["router"])
-    for notes, of_policies in ((_BENCHMARK_NOTES, False), (_POLICY_NOTES, True)):
+    for notes, of_policies, page in (
+        (leaderboard.PLANNER_NOTES, False, "scenarios"),
+        (leaderboard.POLICY_NOTES, True, "cooperation"),
+    ):
         if any(("sight" in row) == of_policies for row in summaries):
-            click.echo(_wrapped(notes))
+            plain = notes.replace("**", "")
+            click.echo(_wrapped(f"{plain} ?: not known. docs/{page}.md explains the protocol."))
 
 
 _BENCHMARK = ("score", "open", "overflow", "gap\n%", "at ref.\n%", "A*\nW/T/L", "seconds")
 """The headings of a benchmark's table."""
-
-_BENCHMARK_NOTES = (
-    "score: 0 for sequential A*, 1 for the reference (the proven optimum or the best known), by "
-    "open nets, then overflow, then wirelength; interquartile mean [95 % bootstrap interval]. "
-    "open: problems with open nets. overflow: the sum, in tracks. gap: mean wirelength above the "
-    "reference, of the solutions with its open nets and overflow (the number of problems, if not "
-    "all). at ref.: solutions as good as the reference. W/T/L: wins, ties and losses against A*. "
-    "seconds: median per problem. All per seed. ?: not known. docs/scenarios.md explains the "
-    "protocol."
-)
-
-
-_POLICY_NOTES = (
-    "score: 0 for the best local rule, 1 for the optimum; interquartile mean over the seeds [95 % "
-    "bootstrap interval]. cost: wirelength and open tasks, divided by the optimum's wirelength. "
-    "solved: problems without open tasks; connected: tasks. gap: mean wirelength above the "
-    "optimum, of the solved problems. sees: what a net sees when it chooses; planners see "
-    "the whole problem. teacher: whether it learned from a planner. training: processor "
-    "time of one seed. ?: not known. docs/cooperation.md explains the protocol."
-)
 
 
 def show_report(found: Mapping[str, Any], title: str) -> None:

@@ -7,7 +7,8 @@
 
 import contextlib
 import importlib.util
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Any
 
 from marouting.errors import InputError
 from policies.engines.base import Call, Engine, EngineName, cores, processor
@@ -34,13 +35,10 @@ def opened(name: EngineName, jobs: int, threads: int) -> Iterator[Engine]:
         InputError: the engine is not installed, or there is no Ray where RAY_ADDRESS says.
     """
     check_engine(name)
+    kind: Callable[[int, int], Any]
     if name == "local":
-        from policies.engines.local import LocalEngine
-
-        with contextlib.closing(LocalEngine(jobs, threads)) as local:
-            yield local
+        from policies.engines.local import LocalEngine as kind
     else:
-        from policies.engines.cluster import joined
-
-        with joined(jobs, threads) as cluster:
-            yield cluster
+        from policies.engines.cluster import RayEngine as kind
+    with contextlib.closing(kind(jobs, threads)) as engine:
+        yield engine

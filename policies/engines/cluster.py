@@ -29,30 +29,6 @@ ADDRESS = "RAY_ADDRESS"
 """The variable that says where a Ray runs that is to be joined."""
 
 
-@contextlib.contextmanager
-def joined(jobs: int, threads: int) -> Iterator["RayEngine"]:
-    """The Ray at RAY_ADDRESS, or this process's own if it has one, or else a new one.
-
-    A new one uses only this machine, with a limit of parallel tasks, no log output, no dashboard
-    and no usage statistics, and ends with the block or with this process.
-
-    Raises:
-        InputError: there is none at RAY_ADDRESS, or none can be started.
-    """
-    mine = not ray.is_initialized()
-    if mine:
-        _start(jobs * threads)
-    try:
-        engine = RayEngine(threads)
-        try:
-            yield engine
-        finally:
-            engine.close()
-    finally:
-        if mine:
-            ray.shutdown()
-
-
 def _start(cpus: int) -> None:
     """Starts or joins a Ray; raises InputError if that is not possible."""
     where = os.environ.get(ADDRESS)
@@ -86,18 +62,27 @@ _PATIENCE = 10.0
 
 
 class RayEngine:
-    """Runs calls as tasks of the Ray that this process has joined, with as many CPUs as threads.
+    """Runs calls as tasks of Ray, with as many CPUs as threads.
+
+    That is the Ray at RAY_ADDRESS, or this process's own if it has one, or else a new one, which
+    uses only this machine, with a limit of parallel tasks, no log output, no dashboard and no usage
+    statistics, and ends with the engine or with this process.
 
     Raises:
-        InputError: no task ever has so many CPUs.
+        InputError: there is none at RAY_ADDRESS, none can be started, or no task ever has so many
+            CPUs.
     """
 
-    def __init__(self, threads: int) -> None:
-        most = max((node["Resources"].get("CPU", 0) for node in _nodes()), default=0)
-        if most < threads:
-            raise InputError(f"threads: expected at most {most:g}, as the Ray has, found {threads}")
+    def __init__(self, jobs: int, threads: int) -> None:
         self._threads = threads
         self._running: dict[Any, int] = {}
+        self._mine = not ray.is_initialized()
+        if self._mine:
+            _start(jobs * threads)
+        most = max((node["Resources"].get("CPU", 0) for node in _nodes()), default=0)
+        if most < threads:
+            self.close()
+            raise InputError(f"threads: expected at most {most:g}, as the Ray has, found {threads}")
 
     def run(self, calls: Sequence[Call]) -> Iterator[dict[int, Any]]:
         """Makes calls; see :meth:`policies.engines.base.Engine.run`."""
@@ -123,7 +108,8 @@ class RayEngine:
         for task in self._running:
             with contextlib.suppress(RayError, ValueError):
                 ray.cancel(task, force=True)
-        self._running = {}
+        if self._mine:
+            ray.shutdown()
 
 
 def _nodes() -> list[dict[str, Any]]:

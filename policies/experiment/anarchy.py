@@ -38,7 +38,7 @@ from marouting.files import read_text, write_text
 from marouting.scenarios import Scenario
 from marouting.scenarios.cooperation import COOPERATION, Braess
 from policies.experiment.played import rules_of
-from policies.routers.local import LocalRouter
+from policies.routers.local import LocalRouter, Rule
 
 FOLDER = Path("docs/results/cooperation")
 """Where the figures are, SCENARIO.csv."""
@@ -88,7 +88,7 @@ class Row:
 
     scenario: str
     split: str
-    rule: str
+    rule: Rule
     radius: int | None
     price: float
     seen: bool
@@ -105,10 +105,10 @@ class Row:
         """Whether the rule sees no further than policies do."""
         return self.rule != "shortest" or (self.radius is not None and self.radius <= RADIUS)
 
-    def of(self, rule: LocalRouter) -> bool:
-        """Whether the row is that of a rule."""
-        own = (self.rule, self.radius, self.price, self.seen)
-        return own == (rule.rule, rule.radius, rule.price, rule.seen)
+    @property
+    def router(self) -> LocalRouter:
+        """The rule."""
+        return LocalRouter(self.rule, self.radius, self.price, self.seen)
 
 
 def measure(
@@ -159,8 +159,7 @@ def best_local(rows: Iterable[Row]) -> dict[str, Row]:
     """By split, the local rule that is the best one on the validation problems."""
     local = [row for row in rows if row.local]
     best = min((row for row in local if row.split == "validation"), key=lambda row: row.cost)
-    rule = (best.rule, best.radius, best.price, best.seen)
-    return {row.split: row for row in local if (row.rule, row.radius, row.price, row.seen) == rule}
+    return {row.split: row for row in local if row.router == best.router}
 
 
 def write_rows(scenario: Scenario, rows: Sequence[Row]) -> None:
@@ -184,7 +183,9 @@ def read_rows(path: Path) -> list[Row]:
     rows = []
     for line in csv.DictReader(io.StringIO(read_text(path, 2**24))):
         values: dict[str, Any] = {
-            field.name: line[field.name] if field.type is str else json.loads(line[field.name])
+            field.name: line[field.name]
+            if field.type in (str, Rule)
+            else json.loads(line[field.name])
             for field in fields(Row)
         }
         rows.append(Row(**values))
@@ -194,7 +195,7 @@ def read_rows(path: Path) -> list[Row]:
 def refused(rows: Sequence[Row]) -> str:
     """Why a scenario is not worth playing; empty if it is."""
     test = [row for row in rows if row.split == "test" and row.scenario != NO_SHORT_CUT]
-    selfish = next(row for row in test if row.of(SELFISH))
+    selfish = next(row for row in test if row.router == SELFISH)
     least = min(test, key=lambda row: row.cost)
     if selfish.cost < LEAST_SELFISH:
         return f"selfish nets cost {selfish.cost:.3f}, less than {LEAST_SELFISH}"
@@ -221,7 +222,7 @@ def table(files: Iterable[Path]) -> Iterator[str]:
         rows = read_rows(path)
         test = [row for row in rows if row.split == "test" and row.scenario != NO_SHORT_CUT]
         random, greedy, detour, selfish = (
-            f"{next(row.cost for row in test if row.of(rule)):.3f}"
+            f"{next(row.cost for row in test if row.router == rule):.3f}"
             for rule in (*RULES[:2], DETOUR, SELFISH)
         )
         local, least = best_local(rows)["test"], min(test, key=lambda row: row.cost)

@@ -14,6 +14,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -74,6 +75,7 @@ class BenchmarkConfig:
         seeds: how many seeds.
         jobs: the number of processes; None stands for one per core.
         engine: where the work is done, as in an experiment.
+        train: keys of the run of every training, such as ``steps``, as in an experiment.
     """
 
     routers: dict[str, dict[str, Any] | None] = field(default_factory=dict)
@@ -81,40 +83,11 @@ class BenchmarkConfig:
     seeds: int | None = None
     jobs: int | None = None
     engine: EngineName = "local"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Course:
-    """How learners are trained for a scenario of policies; without one, on each problem.
-
-    Attributes:
-        scenario: on whose training problems.
-        steps, seconds: see :class:`policies.learned.config.TrainOptions`; None: as the scenario
-            suggests.
-    """
-
-    scenario: str | None = None
-    steps: int | None = None
-    seconds: float | None = None
-
-    def fill(self, raw: Mapping[str, Any]) -> dict[str, Any]:
-        """The options of a learner's entry with the scenario and the bounds in them."""
-        bounds = {name: value for name, value in self.bounds.items() if value is not None}
-        train = raw.get("train") or {}
-        check("train", isinstance(train, Mapping), "a mapping")
-        for name in bounds:
-            what = f"none beside --training-{name}"
-            check(f"train.{name}", train.get(name) is None, what)
-        return {**raw, "scenario": self.scenario, "train": {**train, **bounds}}
-
-    @property
-    def bounds(self) -> dict[str, float | None]:
-        """The bounds by their names."""
-        return {"steps": self.steps, "seconds": self.seconds}
+    train: dict[str, Any] = field(default_factory=dict)
 
 
 def from_text(
-    text: str, name: str | None, budget: Budget | None, course: Course | None = None
+    text: str, name: str | None, budget: Budget | None, scenario: str | None = None
 ) -> Entry:
     """An entry as the command line names it.
 
@@ -126,7 +99,8 @@ def from_text(
             that are not at hand.
         name: what tables call it; None: the router and its options, or the name of the file.
         budget: the budget, applied to the options where they do not say otherwise.
-        course: how it is trained if it is a learner; None: on each problem.
+        scenario: on whose training problems it is trained if it is a learner; None: on each
+            problem that it routes.
 
     Raises:
         InputError: it is none of these, or an option is wrong.
@@ -156,7 +130,7 @@ def from_text(
         called = "-".join([router, *(option.partition("=")[2] for option in options)])
     called = name or re.sub(r"[^\w-]+", "-", called).strip("-_") or "router"
     source = ["--router", text, *(["--name", name] if name else [])]
-    return _entry(called, raw, budget, source, course)
+    return _entry(called, raw, budget, source, scenario)
 
 
 def _entry(
@@ -164,18 +138,16 @@ def _entry(
     raw: Mapping[str, Any],
     budget: Budget | None,
     source: list[str],
-    course: Course | None,
+    scenario: str | None,
 ) -> Entry:
     """An entry with a budget, unless it has its own, and bound to this version."""
     told, router = dict(raw), raw.get("router")
     named = isinstance(router, str) and router not in (PUBLISHED, SOLUTIONS)
     learns = named and is_learner(str(router))
-    if course is not None and course.scenario and learns and "checkpoint" not in raw:
+    if scenario is not None and learns and "checkpoint" not in raw:
         what = f"--training-steps or --training-seconds: {name} is trained once"
         check("--budget", budget is None and "budget" not in raw, what)
-        told = course.fill(raw)
-        for bound, most in course.bounds.items():
-            source = [*source, *([] if most is None else [f"--training-{bound}", f"{most}"])]
+        told["scenario"] = scenario
     elif budget is not None:
         told.setdefault("budget", budget.text)
         source = [*source, "--budget", budget.text]
@@ -200,7 +172,7 @@ def load_entries(
     path: str | os.PathLike[str],
     overrides: Sequence[str],
     budget: Budget | None,
-    course: Course | None = None,
+    scenario: str | None = None,
 ) -> tuple[list[Entry], BenchmarkConfig]:
     """The entries of a configuration, and the configuration.
 
@@ -208,7 +180,7 @@ def load_entries(
         path: a YAML file.
         overrides: ``key=value``, as :func:`marouting.config.override` takes them.
         budget: what the command line says; None for the configuration's own.
-        course: how learners are trained; None: on each problem.
+        scenario: on whose training problems learners are trained; None: on each problem.
 
     Raises:
         InputError: names the file or key, what was expected and what was found.
@@ -220,7 +192,7 @@ def load_entries(
         budget = Budget.parse(config.budget)
         config = replace(config, budget=budget.text)
     found = [
-        _entry(name, raw, budget, source, course)
+        _entry(name, raw, budget, source, scenario)
         for name, raw in config.routers.items()
         if raw is not None
     ]
@@ -242,6 +214,7 @@ class Benchmark(Experiment):
         seeds: how many seeds, from 0; None for SEEDS.
         jobs: the largest number of processes; None for one per core.
         engine: where the work is done, as in an experiment.
+        train: keys of the run of every training, as in an experiment.
 
     Raises:
         InputError: there is no such scenario or entry, two have one name, a file is not one, or the
@@ -258,6 +231,7 @@ class Benchmark(Experiment):
         seeds: int | None = None,
         jobs: int | None = None,
         engine: EngineName = "local",
+        train: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
         check("seeds", seeds is None or 1 <= seeds <= 1000, "a number from 1 to 1000")
         tail = "" if split == "test" else f".{split}"
@@ -296,6 +270,7 @@ class Benchmark(Experiment):
                     for name, scenario in self.scenarios.items()
                 },
                 routers=routers,
+                train=dict(train),
             )
         )
 

@@ -124,7 +124,7 @@ def cloned(config: Config, rule: LocalRouter, out: Path, moves: int = MOVES) -> 
     shown = demonstrations(str(config.env.scenario), rule, moves, config.seed)
     same = imitate(module, shown, config.seed)
     figures = {"teacher": rule.rule == "shortest" and rule.radius is None}
-    state = trainer.policy() | {"weights": [dict(module.state_dict())], "figures": figures}
+    state = trainer.saved.state() | {"weights": [dict(module.state_dict())], "figures": figures}
     with writing(out) as temporary:
         torch.save(state, temporary)
     return same

@@ -245,12 +245,8 @@ class Experiment:
 
     def _work(self, left: Sequence[Part], watch: Callable[[float, int], Any] | None) -> None:
         """Works on parts; see :meth:`execute`."""
-        trainings = {
-            part.run: (_Lines(part.run / METRICS), part.entry.options["train"])
-            for part in left
-            if part.entry.trains
-        }
-        threads = max((train["threads"] for _, train in trainings.values()), default=1)
+        trainings = {part.run: part.entry.options["train"] for part in left if part.entry.trains}
+        threads = max((train["threads"] for train in trainings.values()), default=1)
         total = sum(len(part.problems) for part in self.parts)
         done = total - sum(len(part.problems) for part in left)
         missing = Counter(part.entry.name for part in left)
@@ -266,7 +262,9 @@ class Experiment:
                 written = len(finished)
             if watch is not None:
                 # A line is an episode of one problem.
-                begun = (lines.count() / train["episodes"] for lines, train in trainings.values())
+                begun = (
+                    _lines(run / METRICS) / train["episodes"] for run, train in trainings.items()
+                )
                 watch(done + sum(begun), total)
 
     def _rows(self, entries: Sequence[Entry]) -> list[Row]:
@@ -302,26 +300,12 @@ _FREE = ("only", "label", "training_seconds")
 """Keys of entries that may change: no row depends on them."""
 
 
-class _Lines:
-    """Counts the lines of a growing file without reading any of them twice."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._read = self._count = 0
-
-    def count(self) -> int:
-        """The number of lines so far; 0 as long as there is no file."""
-        try:
-            if self._path.stat().st_size < self._read:  # cut off by a training that was resumed
-                self._read = self._count = 0
-            with self._path.open("rb") as lines:
-                lines.seek(self._read)
-                new = lines.read()
-        except OSError:
-            return self._count
-        self._read += len(new)
-        self._count += new.count(b"\n")
-        return self._count
+def _lines(path: Path) -> int:
+    """The number of lines in a file; 0 as long as there is none."""
+    try:
+        return path.read_bytes().count(b"\n")
+    except OSError:
+        return 0
 
 
 def _slowness(entry: Entry) -> int:

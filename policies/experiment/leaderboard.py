@@ -148,28 +148,38 @@ def _page(groups: Mapping[_Group, Sequence[Result]], drawn: set[str]) -> str:
     return "\n".join(lines) + "\n"
 
 
-_PLANNERS = (
-    "Routers that see the whole problem, and learners that are trained on each problem. "
+PLANNER_NOTES = (
     "**Score**: 0 for sequential A*, 1 for the reference (the proven optimum, or the best "
     "solution known); by open nets, then overflow, then wirelength; interquartile mean over "
     "problems and seeds with its 95 % bootstrap interval. **Open**: problems with open nets. "
     "**Overflow**: the sum, in tracks. **Gap**: mean wirelength above the reference, of the "
     "solutions with its open nets and overflow; in brackets the number of problems, if not "
     "all. **At reference**: solutions as good as it. **W/T/L**: wins, ties and losses against "
-    "A*. All of these are per seed. **Seconds**: median wall time per problem. **Rerun**: "
-    "what the whole row takes on one core, training included. **?**: not known."
+    "A*. All of these are per seed. **Seconds**: median wall time per problem."
 )
+"""What the columns of planners mean."""
 
-_POLICIES = (
-    "Nets that decide for themselves, once ([Cooperation](../cooperation.md)), and no training on "
-    "test problems. **Score**: 0 for the best local rule, 1 for the optimum; interquartile mean "
+POLICY_NOTES = (
+    "**Score**: 0 for the best local rule, 1 for the optimum; interquartile mean "
     "over the seeds with its 95 % bootstrap interval. **Cost**: wirelength and open tasks, divided "
     "by the optimum's wirelength; interquartile mean over the seeds. **Solved**: problems without "
     "open tasks. **Connected**: tasks. **Gap**: mean wirelength above the optimum, of the solved "
     "problems. **Sees**: what a net sees when it chooses, verified for radii. Planners see the "
     "whole problem: they are bounds, no competitors. **Teacher**: whether it learned from a router "
     "with sight of the whole problem. **Agent-steps** and **training** (processor time): of one "
-    "seed. **?**: not known."
+    "seed."
+)
+"""What the columns of policies mean."""
+
+_PLANNERS = (
+    "Routers that see the whole problem, and learners that are trained on each problem. "
+    f"{PLANNER_NOTES} **Rerun**: what the whole row takes on one core, training included. "
+    "**?**: not known."
+)
+
+_POLICIES = (
+    "Nets that decide for themselves, once ([Cooperation](../cooperation.md)), and no training on "
+    f"test problems. {POLICY_NOTES} **?**: not known."
 )
 
 

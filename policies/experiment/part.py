@@ -130,7 +130,7 @@ class Part:
 
             first = self.problems[0]
             trainer = Trainer({first: problems[first]}, self._training())
-            learner, _ = trainer.learner, trainer.start
+            learner, _ = trainer.learner, trainer.saved.start()
             if learner.learning_starts:
                 _ = read_solutions(learner.burn_in, problems)
         elif "checkpoint" in self.entry.options and is_learner(self.entry.router):

@@ -81,19 +81,13 @@ def save_animation(
         path: the file; its suffix tells the format, ``.svg`` or ``.gif``.
         title: what the SVG is called.
     """
-    kind = animation_format(path)
+    kind = Path(path).suffix.lower()
+    if kind not in (".svg", ".gif"):
+        raise InputError(f"{os.fspath(path)}: expected a name with the suffix .svg or .gif")
     fps = float(np.clip(len(scenes) / 12, 2, 20))  # about 12 seconds
     content = gif(scenes, fps) if kind == ".gif" else svg(scenes, title, fps).encode()
     with writing(path) as temporary:
         temporary.write_bytes(content)
-
-
-def animation_format(path: str | os.PathLike[str]) -> str:
-    """``.svg`` or ``.gif``; raises InputError for a file with another suffix."""
-    kind = Path(path).suffix.lower()
-    if kind not in (".svg", ".gif"):
-        raise InputError(f"{os.fspath(path)}: expected a name with the suffix .svg or .gif")
-    return kind
 
 
 def gif(scenes: Sequence[Scene], fps: float) -> bytes:

@@ -234,10 +234,15 @@ class _Film:
         if last < self.count:
             grown += [(last - 1, length), (last, 0)]
         left = [(moment, length - edges) for moment, edges in grown]
+        times, values = self._timed(left)
+        change = (
+            f'<animate attributeName="stroke-dashoffset" dur="{self._seconds:g}s" '
+            f'repeatCount="indefinite" values="{values}" keyTimes="{times}"/>'
+        )
         still = "" if last == self.count else f' stroke-dashoffset="{length}"'
         return (
             f'<path stroke="{_css(net)}" pathLength="{length}" stroke-dasharray="{length}"{still} '
-            f'd="{self._path(net, run)}">{self._animate("stroke-dashoffset", left)}</path>'
+            f'd="{self._path(net, run)}">{change}</path>'
         )
 
     def _head(self, net: int, runs: Sequence[Sequence[_Use]], radius: float) -> str:
@@ -315,14 +320,6 @@ class _Film:
                 f'repeatCount="indefinite" values="{values}" keyTimes="{times}"/>'
             )
         return f"<{tag} {attributes}{hidden}>{change}{inside}</{tag}>"
-
-    def _animate(self, attribute: str, stops: Sequence[tuple[int, float]]) -> str:
-        """What changes an attribute from stop to stop, each a moment and a value."""
-        times, values = self._timed(stops)
-        return (
-            f'<animate attributeName="{attribute}" dur="{self._seconds:g}s" '
-            f'repeatCount="indefinite" values="{values}" keyTimes="{times}"/>'
-        )
 
     def _timed(self, stops: Sequence[tuple[int, float]]) -> tuple[str, str]:
         """Times and values of stops as SVG has them, without those on the way between two."""

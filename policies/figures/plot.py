@@ -24,9 +24,7 @@ from policies.results.statistics import (
     baseline,
     by_router,
     by_set,
-    mean_gap,
-    mean_overflow,
-    mean_wirelength,
+    mean_over_seeds,
 )
 from policies.routers.astar import AStarRouter
 from policies.routers.registry import labelled, router_label, router_names
@@ -125,12 +123,14 @@ def experiment_figures(experiment: Path, folder: Path | None = None) -> list[Pat
         astar = baseline(rows)
         # A* first: this gives it the paper's colour.
         routers = dict(sorted(by_router(rows).items(), key=lambda router: router[0] != astar))
-        lengths = {router: mean_wirelength(own) for router, own in routers.items()}
+        lengths = {router: mean_over_seeds(own, "wirelength") for router, own in routers.items()}
         sort_by = astar or next(iter(routers))
         order = np.argsort(lengths[sort_by], kind="stable")
         title = f"{name}: {len(order)} problems"
         by = f"{called.get(sort_by, sort_by)}'s wirelength"
-        gaps = {called.get(router, router): mean_gap(own) for router, own in routers.items()}
+        gaps = {
+            called.get(name, name): mean_over_seeds(own, "gap") for name, own in routers.items()
+        }
         if not all(np.isnan(values).all() for values in gaps.values()):
             write(figures.gaps_by_router(gaps, title), f"{name}_gap")
         else:
@@ -138,8 +138,8 @@ def experiment_figures(experiment: Path, folder: Path | None = None) -> list[Pat
             figure = figures.by_problem(wires, order, "wirelength [edges]", by, title)
             write(figure, f"{name}_wirelength")
         over = {
-            called.get(router, router): np.where(np.isnan(lengths[router]), np.nan, own)
-            for router, own in ((router, mean_overflow(rows)) for router, rows in routers.items())
+            called.get(router, router): mean_over_seeds(own, "overflow")
+            for router, own in routers.items()
         }
         figure = figures.by_problem(over, order, "overflow [tracks]", by, title)
         write(figure, f"{name}_overflow")

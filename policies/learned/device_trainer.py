@@ -24,17 +24,16 @@ from marouting.registry import allowing_code
 from marouting.source import ProblemStream
 from marouting.vector import BatchEnv
 from policies.learned.algorithms.ppo import IPPO, MAPPO, PPO
-from policies.learned.checkpoint import POLICY_FORMAT, TRAINING_FORMAT, checked
+from policies.learned.checkpoint import ANY, FINITE, TRAINING_FORMAT, checked
 from policies.learned.config import Config
 from policies.learned.learner import play_steps
 from policies.learned.on_device import DevicePPO
-from policies.learned.policy import TrainedPolicy, check_weights, player_of, policy_origin
+from policies.learned.policy import TrainedPolicy, player_of
+from policies.learned.saved import SavedNetworks
 from policies.results.run_folder import Episode, GreedyEvaluation
 
 STEPS = 32
 """The fewest steps of all games between updates."""
-
-_NAME = "all"
 
 
 def on_device(config: Config) -> bool:
@@ -61,6 +60,7 @@ class DeviceTrainer:
         episodes: (1,) int64, episodes finished.
         steps: (1,) int64, moves of agents that have been learned from.
         walks: the evaluations made since :meth:`run` last yielded.
+        saved: the network that is saved.
         path: where it all happens, in words.
 
     Raises:
@@ -78,7 +78,6 @@ class DeviceTrainer:
         one = "cuda, where games are on it too: CUDA_VISIBLE_DEVICES says which"
         check("train.device", train.device == "cuda", f"{one}, found {train.device}")
         check("train.negotiation", train.negotiation is None, "null on a device")
-        check("train.start", train.start != "generalist", "null or a file on a device")
         env = plain(config.env)
         for name in (*PLAYED, "agents", "agents_persist", "render_mode"):
             del env[name]
@@ -100,9 +99,9 @@ class DeviceTrainer:
         self.clock: Callable[[], float] = float
         self.best_episode = np.zeros(0, np.int64)
         self.walks: list[GreedyEvaluation] = []
-        self._best = self._weights()
-        self._best_score: tuple[float, ...] = (np.inf, np.inf, np.inf)
-        self._best_after = 0
+        shape, actions = self.env.single_observation_space.shape, self.env.single_action_space.n
+        flat = self._weights()[None]
+        self.saved = SavedNetworks(config, ("all",), shape or (), int(actions), flat)
 
     # --- what is to be done -------------------------------------------------------------------
 
@@ -118,25 +117,12 @@ class DeviceTrainer:
         made = int(self.steps[0]) / train.steps if train.steps else 0.0
         return max(share, made, self.spent)
 
-    @property
-    def start(self) -> list[Mapping[str, Tensor]]:
-        """The weights that the actor begins with; none if they are random."""
-        path = self.config.train.start
-        if path is None:
-            return []
-        weights = TrainedPolicy.load(path, _NAME).module.state_dict()
-        try:
-            check_weights(weights, self.ppo.actor)
-        except InputError as error:
-            raise InputError(f"train.start: {path}: {error}") from None
-        return [weights]
-
     def run(self) -> Iterator[list[Episode]]:
         """Trains to the end; after every rollout, yields one of the episodes that ended."""
         if not self.steps[0]:
-            for weights in self.start:
+            for weights in self.saved.start():
                 self.ppo.actor.load_state_dict(weights)
-            self._best = self._weights()
+            self.saved.flat[0] = self._weights()
         while self.running[0]:
             self.ppo.progress = self._share()
             with _allocating():
@@ -173,24 +159,14 @@ class DeviceTrainer:
             return
         self._evaluated[:] = self.episodes
         weights = self._weights()
-        module = self._module(weights)
+        module = self.saved.module(weights)
         player = player_of(self.config.env, list(self.problems.values()))
         player.reset()
         for _ in play_steps(player, module, masking=self.config.learner.options.masking):
             pass
-        found = [player.engine.metrics(m) for m in range(len(self.names))]
-        score = tuple(
-            np.sum([(m.tasks - m.joined, m.overflow, m.wirelength) for m in found], axis=0).tolist()
-        )
-        best = score < self._best_score
-        self.walks = [
-            GreedyEvaluation(name, int(self.episodes[0]), best=best, **asdict(metrics))
-            for name, metrics in zip(self.names, found, strict=True)
-        ]
-        if best:
-            self._best_score = score
-        if best or self.config.train.policy == "last":
-            self._best, self._best_after = weights, int(self.episodes[0])
+        played = int(self.episodes[0])
+        found = {name: (played, player.engine.metrics(m)) for m, name in enumerate(self.names)}
+        self.walks = self.saved.judge(0, weights, played, found)
 
     @property
     def _every(self) -> int:
@@ -203,20 +179,6 @@ class DeviceTrainer:
         """The actor's weights, a copy on the processor."""
         flat = nn.utils.parameters_to_vector(self.ppo.actor.parameters())
         return flat.detach().cpu().clone()
-
-    def _module(self, flat: Tensor) -> nn.Module:
-        learner = self.config.learner
-        module: nn.Module = learner.cls.network(
-            learner.options, self._obs_shape, self.env.single_action_space.n
-        )
-        nn.utils.vector_to_parameters(flat, module.parameters())
-        return module
-
-    @property
-    def _obs_shape(self) -> tuple[int, ...]:
-        shape = self.env.single_observation_space.shape
-        assert shape is not None
-        return shape
 
     # --- results ------------------------------------------------------------------------------
 
@@ -231,42 +193,21 @@ class DeviceTrainer:
     def policy_of(self, problem: str) -> TrainedPolicy:
         """The saved network: that of the best evaluation, or of the last."""
         del problem
-        config = self.config
-        return TrainedPolicy(
-            self._module(self._best.clone()),
-            config.learner.options.masking,
-            self._obs_shape,
-            config.env,
-            policy_origin(self._best_after),
-        )
+        return self.saved.policy(0)
 
-    def policy(self) -> dict[str, Any]:
-        """What it takes to play with the best network; see :meth:`.trainer.Trainer.policy`."""
-        env = plain(self.config.env)
-        for name in PLAYED:
-            del env[name]
-        weights = self._module(self._best.clone()).state_dict()
-        return {
-            "format": POLICY_FORMAT,
-            "names": [_NAME],
-            "episodes": [self._best_after],
-            "learner": plain(self.config.learner),
-            "obs_shape": list(self._obs_shape),
-            "env": env,
-            "negotiation": None,
-            "weights": [{name: tensor.detach() for name, tensor in weights.items()}],
-        }
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        """What changes in training but the learner and the games; to copy from or into."""
+        own = {name: getattr(self, name) for name in ("episodes", "steps", "_evaluated")}
+        return {**own, **self.saved.arrays()}
 
     def state(self) -> dict[str, Any]:
         """Everything that it takes to go on."""
-        own = {name: torch.from_numpy(getattr(self, name).copy()) for name in _OWN}
         return {
-            **self.policy(),
+            **self.saved.state(),
             "format": TRAINING_FORMAT,
             "problems": list(self.names),
             "in_all": self.config.train.episodes,
-            "trainer": {**own, "best": self._best},
-            "score": [float(part) for part in self._best_score],
+            "trainer": {name: torch.from_numpy(a.copy()) for name, a in self._arrays().items()},
             "training": self.ppo.state(),
             "device": True,
         }
@@ -277,12 +218,9 @@ class DeviceTrainer:
         if not fits:
             raise InputError(f"{where}: expected a training on a device, of these problems")
         kept = state["trainer"]
-        for name in _OWN:
-            own = getattr(self, name)
-            own[:] = checked(kept[name], torch.from_numpy(own), f"{where}: {name}").numpy()
-        self._best = checked(kept["best"], self._best, f"{where}: best").clone()
-        self._best_score = tuple(map(float, state["score"]))
-        self._best_after = int(state["episodes"][0])
+        for name, own in self._arrays().items():
+            now, limits = torch.from_numpy(own), ANY if name == "policy_score" else FINITE
+            now.copy_(checked(kept[name], now, f"{where}: {name}", limits))
         self.ppo.load_state(state["training"], where)
 
 
@@ -294,6 +232,3 @@ def _allocating() -> Iterator[None]:
     except torch.OutOfMemoryError as error:
         reason = str(error).splitlines()[0]
         raise InputError(f"device: expected more memory for these games: {reason}") from None
-
-
-_OWN = ("episodes", "steps", "_evaluated")

@@ -44,7 +44,7 @@ class Setup:
         device: device of the networks.
         threads: number of threads that it may use.
         episodes: of the whole training, per problem, for schedules.
-        game_names: (games,) names of the problems, for random numbers; empty: made from ``names``.
+        game_names: (games,) names of the problems, for random numbers.
     """
 
     names: tuple[str, ...]
@@ -57,7 +57,7 @@ class Setup:
     device: torch.device
     threads: int
     episodes: int
-    game_names: tuple[str, ...] = ()
+    game_names: tuple[str, ...]
 
     @property
     def actions(self) -> int:
@@ -76,9 +76,7 @@ class Setup:
 
     def game_keys(self, purpose: str) -> NDArray[np.uint64]:
         """(L, games / L) keys of random numbers, one per game."""
-        each = self.games // len(self.names)
-        made = [f"{name}#{i}" if i else name for name in self.names for i in range(each)]
-        return keys(self.seed, self.game_names or made, purpose).reshape(-1, each)
+        return keys(self.seed, self.game_names, purpose).reshape(len(self.names), -1)
 
 
 class Learner(PerNetworkState, abc.ABC):
@@ -214,10 +212,6 @@ class Learner(PerNetworkState, abc.ABC):
 
         for _ in play_steps(player, rate, masking=masking):
             pass
-
-    def weights(self) -> list[dict[str, Tensor]]:
-        """The networks as ``state_dict`` of ordinary modules, on the processor."""
-        return self.networks.state_dicts()
 
     def _games(self, array: NDArray[Any]) -> NDArray[Any]:
         """An array with one row per game as (L, games / L, …)."""

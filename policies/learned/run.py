@@ -9,12 +9,10 @@ import json
 import math
 import shutil
 import signal
-import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, fields, replace
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import torch
@@ -26,7 +24,7 @@ from marouting.generator import GeneratorOptions
 from marouting.registry import allowing_code
 from marouting.scenarios import get
 from marouting.source import ProblemSampler, ProblemStream, fixed_problems, load_problems
-from policies.interrupts import interrupt
+from policies.interrupts import holding
 from policies.learned.checkpoint import read_checkpoint
 from policies.learned.config import Config, load_config
 from policies.learned.device_trainer import DeviceTrainer, on_device
@@ -157,29 +155,24 @@ class Run:
         config: what to do; its ``out`` is the folder.
         resume: whether the folder holds a run to go on with; otherwise it must hold none. The run
             may be given more episodes than it had.
-        reference: overflow and wirelength of the best known solution by the problem's name, to
-            which TensorBoard shows gaps; None for what ``train.reference`` says, or the scenario.
 
     Attributes:
         folder: the run folder.
         problems: the problems by name; where games draw theirs, those to evaluate on.
         trainer: what trains.
+        reference: overflow and wirelength of the best known solution by the problem's name, to
+            which TensorBoard shows gaps.
         had: the episodes per problem that the run had in all, if it goes on with more of them.
 
     Raises:
         InputError: the folder, the configuration or a problem cannot be used.
     """
 
-    def __init__(
-        self,
-        config: Config,
-        *,
-        resume: bool = False,
-        reference: Mapping[str, tuple[int, int]] | None = None,
-    ) -> None:
+    def __init__(self, config: Config, *, resume: bool = False) -> None:
         self.config = config
-        if reference is None and config.train.reference is not None:
-            reference = read_reference(Path(config.train.reference))
+        self.reference: dict[str, tuple[int, int]] = {}
+        if config.train.reference is not None:
+            self.reference = read_reference(Path(config.train.reference))
         self.folder = Path(config.out)
         self.had: int | None = None
         if resume:
@@ -188,10 +181,9 @@ class Run:
             self._check_new()
         kept = load_problems(str(self.folder / "problems")) if resume else None
         self.problems, episodes = problems_of(config, kept)
-        if reference is None and config.env.scenario is not None:
+        if config.train.reference is None and config.env.scenario is not None:
             best = get(config.env.scenario).reference
-            reference = {name: best(problem)[:2] for name, problem in self.problems.items()}
-        self.reference = dict(reference or {})
+            self.reference = {name: best(problem)[:2] for name, problem in self.problems.items()}
         for name in self.problems:
             fits = is_file_name(name, f".{config.learner.name}_policy.solution")
             check(f"problem {name[:80]!r}", fits, FILE_NAME)
@@ -203,7 +195,8 @@ class Run:
         if resume:
             self._load()
         else:
-            _ = self.trainer.start, self.trainer.replayed  # errors now, not when there is a folder
+            # Errors now, not when there is a folder.
+            _ = self.trainer.saved.start(), self.trainer.replayed
             with naming(self.folder, "cannot be written"):
                 others = {path.stem for path in (self.folder / "problems").glob("*.gr")}
             others -= self.problems.keys()
@@ -380,7 +373,7 @@ class Run:
                 drawn=trainer.drawn,
                 wandb=plain(config) if config.train.wandb else None,
             ) as logs,
-            _holding_interrupts() as interrupts,
+            holding(signal.SIGINT, signal.SIGTERM) as held,
         ):
 
             def keep() -> None:
@@ -389,24 +382,25 @@ class Run:
                 self._processor_seconds = time.process_time() - self._began
                 self._logged, self._evaluated = logs.flush()
                 _save(self._state(), self.folder / CHECKPOINT)
-                if signal.SIGTERM in interrupts.held:
+                if signal.SIGTERM in held.numbers:
                     raise SystemExit(128 + signal.SIGTERM)
-                if interrupts.held:
+                if held.numbers:
                     raise KeyboardInterrupt
 
             for episodes in trainer.run():
-                interrupts.begun = True
+                held.begun = True
                 if episodes or trainer.walks:
                     logs.write(episodes, trainer.walks)
                 if episodes and watch is not None:
                     watch(episodes)
-                if interrupts.held or time.monotonic() - saved >= config.train.checkpoint_seconds:
+                due = time.monotonic() - saved >= config.train.checkpoint_seconds
+                if held.numbers or due:
                     keep()
                     saved = time.monotonic()
             keep()  # nothing is trained again if the results below are interrupted
         rows = self._results()
         told = {"figures": asdict(self.figures)}
-        _save({**self.trainer.policy(), **told}, self.folder / POLICY)
+        _save({**self.trainer.saved.state(), **told}, self.folder / POLICY)
         if config.train.figures:
             # matplotlib: only if it is wanted
             from policies.figures.plot import reward_figures, run_figures
@@ -446,42 +440,6 @@ class Run:
                 row = {"problem": name, "router": router, **solution_row(routed, spent)}
                 rows.append(row if origin is None else {**row, "from": origin})
         return rows
-
-
-@dataclass
-class _Interrupts:
-    """Signals that have come and are held back."""
-
-    held: list[int] = field(default_factory=list)
-    begun: bool = False  # whether there has been a step: until then Ctrl-C loses nothing
-
-
-@contextlib.contextmanager
-def _holding_interrupts() -> Iterator[_Interrupts]:
-    """Holds Ctrl-C and SIGTERM back, but not a second one: within a step no state can be saved."""
-    interrupts = _Interrupts()
-    usual: dict[int, tuple[Any, ...]] = {
-        signal.SIGINT: (signal.default_int_handler, interrupt),
-        signal.SIGTERM: (signal.SIG_DFL,),
-    }
-
-    def hold(number: int, frame: FrameType | None) -> None:
-        if interrupts.held or (number == signal.SIGINT and not interrupts.begun):
-            interrupt(signal.SIGINT, frame)
-        else:
-            interrupts.held.append(number)
-
-    ours = threading.current_thread() is threading.main_thread()
-    before = {number: signal.getsignal(number) for number in usual}
-    # A signal with another handler is somebody else's.
-    holding = [number for number in usual if ours and before[number] in usual[number]]
-    for number in holding:
-        signal.signal(number, hold)
-    try:
-        yield interrupts
-    finally:
-        for number in holding:
-            signal.signal(number, before[number])
 
 
 def clear(folder: Path) -> None:

@@ -17,36 +17,29 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor, nn
+from torch import Tensor
 
 from marouting import InputError, Problem, Solution
-from marouting.batch.engine import Metrics
-from marouting.config import check, code_named, plain
+from marouting.config import check
 from marouting.game import NOBODY
 from marouting.observations import state_space_of
-from marouting.options import PLAYED
-from marouting.registry import allowing_code
 from marouting.source import ProblemSampler
-from policies.generalist import SHIPPED
 from policies.learned.burn_in import GUIDES, guide, read_solutions
-from policies.learned.checkpoint import ANY, FINITE, POLICY_FORMAT, TRAINING_FORMAT, checked
+from policies.learned.checkpoint import ANY, FINITE, TRAINING_FORMAT, checked
 from policies.learned.config import Config
-from policies.learned.counter_rng import keys
 from policies.learned.exploration import Exploration
 from policies.learned.learner import Learner, Setup
 from policies.learned.logged_player import LoggedPlayer
 from policies.learned.machine import torch_device, use_threads
 from policies.learned.memory.pre_step import PreStep
 from policies.learned.per_network import COUNT
-from policies.learned.policy import TrainedPolicy, check_weights, player_of, policy_origin
+from policies.learned.policy import TrainedPolicy, player_of
+from policies.learned.saved import SavedNetworks, routes_score
 from policies.results.rows import LARGEST
 from policies.results.run_folder import Episode, GreedyEvaluation
 
 SHARED = ("all",)
 """The name of the network that all problems share, where there is one."""
-
-_SHIPPED = "generalist"
-"""What ``train.start`` calls the weights that are shipped."""
 
 _STEPS = 200
 """Steps between two looks at a clock or for an interrupt: a few hundredths of a second."""
@@ -72,6 +65,7 @@ class Trainer:
         drawn: whether games draw their problems.
         path: how the learner is computed, in words.
         walks: the evaluations made since :meth:`run` last yielded.
+        saved: the networks that are saved.
         places: which problems the networks and games belong to that still train.
 
     Raises:
@@ -142,11 +136,9 @@ class Trainer:
         self.score = np.full((best, 3), np.inf)  # of the best episode: less is better
         self.best_episode = np.full(best, NOBODY, np.int64)
         self.best: list[Solution | None] = [None] * best
-        networks = 1 if train.shared else count
-        self.policy_score = np.full((networks, 3), np.inf)  # of the best network
-        self.policy_episode = np.zeros(networks, np.int64)  # after which it was evaluated
-        self._policies = self.learner.networks.flat.detach().cpu().clone()
-        self._evaluated = np.zeros(networks, np.int64)  # episodes at the last evaluation
+        setup, networks = self.learner.setup, self.learner.networks.flat
+        self.saved = SavedNetworks(config, setup.names, setup.obs_shape, setup.actions, networks)
+        self._evaluated = np.zeros(len(networks), np.int64)  # episodes at the last evaluation
         self.walks: list[GreedyEvaluation] = []
         self.places = np.arange(count)
         self._before = np.zeros((len(b.over), 2))  # of the network before the episode: loss, steps
@@ -158,10 +150,6 @@ class Trainer:
     def games(self) -> NDArray[np.int64]:
         """(games,) the problem of each game."""
         return np.repeat(self.places, self._copies)
-
-    def _networks(self, problems: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The networks of problems, as rows of what stays of each network."""
-        return problems * (not self.config.train.shared)
 
     def _keep(self, which: NDArray[np.integer]) -> None:
         """Goes on with some of the problems (places, ascending); checkpoints keep the others'."""
@@ -206,33 +194,6 @@ class Trainer:
             else []
         )
 
-    @functools.cached_property
-    def start(self) -> list[Mapping[str, Tensor]]:
-        """The weights that the networks begin with; none if they are random.
-
-        Raises:
-            InputError: the file that holds them cannot be used.
-        """
-        config, setup = self.config, self.learner.setup
-        if config.train.start is None:
-            return []
-        shipped = config.train.start == _SHIPPED
-        path = SHIPPED if shipped else config.train.start
-        own = config.learner.cls.network(config.learner.options, setup.obs_shape, setup.actions)
-        weights: list[Mapping[str, Tensor]] = []
-        for name in setup.names:
-            with allowing_code(code for _, code in code_named(config)):
-                policy = TrainedPolicy.load(path, name)
-            expected, found = plain(config.env.observation), plain(policy.env.observation)
-            what = f"networks that see {expected}, found {found} in {path}"
-            check("train.start", found == expected, what)
-            weights.append(policy.module.state_dict())
-            try:
-                check_weights(weights[-1], own)
-            except InputError as error:
-                raise InputError(f"train.start: {path}: {error}") from None
-        return weights
-
     def burn_in(self) -> None:
         """Shows the learner the moves of a guide until every network has seen enough of them."""
         player, learner, config = self.player, self.learner, self.config
@@ -240,7 +201,7 @@ class Trainer:
             return
         b, games = player.buffers, self.games
         moves = guide(learner.burn_in, self.problems, player.engine, config.seed, self.replayed)
-        chance = Exploration(keys(config.seed, learner.setup.game_names, "burn-in").reshape(-1, 1))
+        chance = Exploration(learner.setup.game_keys("burn-in"))
         nothing = np.zeros(b.mask.shape, np.float32)
         masking = learner.masks(learner.options)
         game = np.repeat(np.arange(len(games)), b.agents.shape[1])
@@ -278,7 +239,7 @@ class Trainer:
         """
         # From its first reset to its end a training has games in which somebody can move.
         if self.running.any() and not self.player.buffers.active.any():
-            self.learner.begin(self.start)
+            self.learner.begin(self.saved.start())
             self.player.reset()
             self.burn_in()
         while self.running.any():
@@ -313,7 +274,9 @@ class Trainer:
                 raise InputError(f"reward: expected finite rewards, found {reward} in an episode")
             best = False
             if player.draws is None:
-                score = _score(metrics, reward if self.config.train.best == "reward" else None)
+                score = routes_score(metrics)
+                if self.config.train.best == "reward":
+                    score = score[0], -reward, 0.0
                 best = bool(score < tuple(self.score[problem].tolist()))
             if best:
                 self.score[problem] = score
@@ -348,7 +311,8 @@ class Trainer:
 
     def _evaluate(self, problems: NDArray[np.int64]) -> None:
         """Has networks that are due play without exploration, and keeps the best of each."""
-        train, of = self.config.train, self._networks(np.arange(len(self.names)))
+        train = self.config.train
+        of = np.arange(len(self.names)) * (not train.shared)  # the network of each problem
         self.walks = []
         played = np.broadcast_to(self.episodes, len(self.names))
         networks = np.unique(of[problems])
@@ -370,19 +334,13 @@ class Trainer:
         self.learner.walk(player, rows)
         walked = np.array([player.engine.metrics(m) for m in range(shown.size)], object)
         for network, row, now, places, metrics in zip(
-            networks, rows, episodes, shown, walked.reshape(shown.shape), strict=True
+            networks.tolist(), rows, episodes, shown, walked.reshape(shown.shape), strict=True
         ):
-            score = tuple(np.sum([_score(one, None) for one in metrics], axis=0).tolist())
-            best = bool(score < tuple(self.policy_score[network].tolist()))
-            self.walks += [
-                GreedyEvaluation(self.names[m], int(played[m]), best=best, **asdict(one))
-                for m, one in zip(places, metrics, strict=True)
-            ]
-            if best:
-                self.policy_score[network] = score
-            if best or train.policy == "last":
-                self.policy_episode[network] = now
-                self._policies[network] = self.learner.networks.flat[row].detach().cpu()
+            found = {
+                self.names[m]: (int(played[m]), one) for m, one in zip(places, metrics, strict=True)
+            }
+            weights = self.learner.networks.flat[row]
+            self.walks += self.saved.judge(network, weights, int(now), found)
 
     def solutions(self) -> dict[str, Solution]:
         """The best episode's routes of every problem that has finished one.
@@ -393,16 +351,7 @@ class Trainer:
 
     def policy_of(self, problem: str) -> TrainedPolicy:
         """The saved network of a problem: that of the best evaluation, or of the last."""
-        row = int(self._networks(np.array([self.names.index(problem)]))[0])
-        config = self.config
-        return TrainedPolicy(
-            self._module(self._policies[row].clone()),
-            config.learner.cls.masks(config.learner.options),
-            self.learner.setup.obs_shape,
-            config.env,
-            policy_origin(int(self.policy_episode[row])),
-            config.train.negotiation,
-        )
+        return self.saved.policy(0 if self.config.train.shared else self.names.index(problem))
 
     def origin(self, problem: str) -> str:
         """Which episode a problem's solution is from."""
@@ -415,7 +364,7 @@ class Trainer:
         """What changes in training but the learner and the games; to copy from or into."""
         return {
             **{name: getattr(self, name) for name in _OWN},
-            "policies": self._policies.numpy(),
+            **self.saved.arrays(),
             **({"draws": self.player.draws.counts} if self.player.draws else {}),
         }
 
@@ -451,37 +400,11 @@ class Trainer:
         arrays = {"moves": log, "made": made, "total": total}
         return {name: torch.from_numpy(array) for name, array in arrays.items()}
 
-    def policy(self) -> dict[str, Any]:
-        """What it takes to play with the best networks: plain data and tensors."""
-        env = plain(self.config.env)
-        for name in PLAYED:
-            del env[name]
-        return {
-            "format": POLICY_FORMAT,
-            "names": list(self.learner.setup.names),
-            "episodes": self.policy_episode.tolist(),
-            "learner": plain(self.config.learner),
-            "obs_shape": list(self.learner.setup.obs_shape),
-            "env": env,
-            "negotiation": plain(self.config.train.negotiation),
-            "weights": [
-                {name: tensor.detach() for name, tensor in self._module(row).state_dict().items()}
-                for row in self._policies
-            ],
-        }
-
-    def _module(self, flat: Tensor) -> nn.Module:
-        """A network of the learner's with the weights (P,)."""
-        learner, setup = self.config.learner, self.learner.setup
-        module: nn.Module = learner.cls.network(learner.options, setup.obs_shape, setup.actions)
-        nn.utils.vector_to_parameters(flat, module.parameters())
-        return module
-
     def state(self) -> dict[str, Any]:
         """Everything that it takes to go on as if never stopped."""
         rows = self._all_rows()
         return {
-            **self.policy(),
+            **self.saved.state(),
             "format": TRAINING_FORMAT,
             "problems": list(self.names),
             "in_all": self.config.train.episodes,
@@ -553,8 +476,8 @@ class Trainer:
         resume = functools.partial(self.learner.resume, player)
         player.replay(arrays["moves"], arrays["made"], resume)
         player.buffers.total[:], self.best = arrays["total"], routes
-        for name in (*_OWN, "policies"):
-            own[name][...] = arrays[name]
+        for name, array in own.items():
+            array[...] = arrays[name]
         self._before[...] = arrays["before"]
         over = player.buffers.over.reshape(-1, self._copies)
         if ((self._trains & (self.episodes < then))[:, None] & over).any():
@@ -568,9 +491,7 @@ class Trainer:
         self._tell_episodes()
 
 
-_OWN = (
-    "episodes", "steps", "score", "best_episode", "policy_score", "policy_episode", "_evaluated",
-)  # fmt: skip
+_OWN = ("episodes", "steps", "score", "best_episode", "_evaluated")
 """Attributes of a trainer that a checkpoint holds, beside the learner, the games and the routes."""
 
 
@@ -587,9 +508,3 @@ def _routes(kept: Any, problem: Problem, where: str) -> Solution | None:
     order = np.argsort(net, kind="stable")
     ends = np.searchsorted(net[order], np.arange(1, nets))
     return Solution(problem, np.split(edge[order], ends))
-
-
-def _score(metrics: Metrics, reward: float | None) -> tuple[float, ...]:
-    """What makes an episode better: less is better."""
-    by = (metrics.overflow, metrics.wirelength) if reward is None else (-reward, 0.0)
-    return (metrics.tasks - metrics.joined, *by)

@@ -157,23 +157,16 @@ def baseline(rows: Sequence[Row]) -> str | None:
     return next((row["router"] for row in rows if row["kind"] == "astar"), None)
 
 
-def mean_wirelength(problems: _Problems) -> NDArray[np.float64]:
-    """(problems,) wirelength, averaged over the seeds; NaN where tasks stayed open or no row is."""
+def mean_over_seeds(problems: _Problems, column: str) -> NDArray[np.float64]:
+    """(problems,) a column, averaged over the seeds; NaN where nothing is known.
+
+    Beside ``gap``, rows with open tasks do not count: less wirelength is no merit there.
+    """
 
     def value(row: Row) -> float | None:
-        return None if rank(row)[0] else row["wirelength"]
+        return None if column != "gap" and rank(row)[0] else row[column]
 
     return _over_seeds(_values(problems, value))
-
-
-def mean_overflow(problems: _Problems) -> NDArray[np.float64]:
-    """(problems,) overflow, averaged over the seeds."""
-    return _over_seeds(_values(problems, lambda row: row["overflow"]))
-
-
-def mean_gap(problems: _Problems) -> NDArray[np.float64]:
-    """(problems,) the gap to the optimum in %, averaged over the seeds; NaN where there is none."""
-    return _over_seeds(_values(problems, lambda row: row["gap"]))
 
 
 def _values(problems: _Problems, value: Callable[[Row], float | None]) -> NDArray[np.float64]:

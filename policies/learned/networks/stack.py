@@ -147,11 +147,3 @@ class Stack(PerNetworkState):
         if row not in self._rows:
             self._rows[row] = self.view_of(self.flat[row : row + 1], row)
         return self._rows[row]
-
-    def state_dicts(self) -> list[dict[str, Tensor]]:
-        """The L networks as ``state_dict`` of ordinary modules, copied to the processor."""
-        whole = (self.row(row) for row in range(len(self.flat)))
-        return [
-            {n: t.detach().cpu().clone() for n, t in (view.weights | view.buffers).items()}
-            for view in whole
-        ]
