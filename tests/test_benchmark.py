@@ -559,7 +559,14 @@ def test_other_options_need_another_name(
     assert status([*words, "--router", "astar"]) == 2
     assert "routers.astar.version: expected " in capsys.readouterr().err
     # Of routers that are not asked for nothing is read, code that they name neither.
-    assert status([*words, "--router", "astar target=tree", "--name", "tree"]) == 0
+    several = ["--router", "astar target=tree", "--router", "greedy", "--name"]
+    assert status([*words, *several, "tree"]) == 2
+    assert "--name: expected one --router with it, or {name} in it" in capsys.readouterr().err
+    assert status([*words, *several, "{name}-new"]) == 0
+    for name in ("astar-tree-new", "greedy-new"):
+        result = read_result(Path("out", f"{SCENARIO}.validation.{name}.json"))
+        assert result.name == name
+        assert "--name '{name}-new'" in result.command
 
 
 def test_problems_of_another_version_are_not_mixed(

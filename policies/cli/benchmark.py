@@ -15,6 +15,8 @@ from policies.cli.options import FILE, WHOLE, allow_code_option, json_option, ov
 BASELINES = Path("configs/benchmark/baselines.yaml")
 """What is scored unless a router is named."""
 
+NAME = "{name}"
+
 RULES = BASELINES.with_name("rules.yaml")
 """The same in scenarios of docs/cooperation.md."""
 
@@ -40,7 +42,11 @@ RULES = BASELINES.with_name("rules.yaml")
     "best_of=16'; file of a trained policy or run folder of a training; folder of solutions; or "
     "CSV file of published figures. May be given several times.  [default: those of --config]",
 )
-@click.option("--name", help="The router's name in tables.  [default: derived from --router]")
+@click.option(
+    "--name",
+    help="The router's name in tables; {name} in it stands for the name that it has otherwise, and "
+    "then it may be one for several.  [default: derived from --router, or that in --config]",
+)
 @click.option(
     "--config",
     type=FILE,
@@ -141,8 +147,8 @@ def benchmark(
     if not names:
         known = ", ".join(scenarios.names())
         raise InputError(f"--scenario: expected one of {known}, or all")
-    if name is not None and len(routers) != 1:
-        raise InputError("--name: expected one --router with it")
+    if name is not None and NAME not in name and len(routers) != 1:
+        raise InputError(f"--name: expected one --router with it, or {NAME} in it")
     given = None if budget is None else Budget.parse(budget)
     # The benchmark's own wherever it stands: an option of the same name is said in --router.
     own = [text for text in overrides if text.startswith(("engine=", "jobs="))]
@@ -170,7 +176,13 @@ def benchmark(
         raise InputError(f"{overrides[0]}: expected --config or one --router with it")
     for text in routers:
         more = "" if config is not None else f" {shlex.join(overrides)}" if overrides else ""
-        entries.append(from_text(f"{text}{more}", name, given, alone))
+        own_name = None if name is None or NAME in name else name
+        entries.append(from_text(f"{text}{more}", own_name, given, alone))
+    if name is not None and NAME in name:
+        told = f" --name {shlex.quote(name)}"
+        entries = [
+            replace(e, name=name.replace(NAME, e.name), source=e.source + told) for e in entries
+        ]
     for key, most in bounds.items():
         trained = any(entry.zero_shot for entry in entries)
         what = "a learner to train, and one scenario of docs/cooperation.md"
