@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from device_games import CASES, compare, difference
 
 import marouting
 from marouting.cuda import env, games
 from marouting.vector import BatchEnv
-from policies.bench.cuda import WINDOW, on_host
+from policies.bench.cuda import CASES, WINDOW, compare, difference, on_host
 from policies.learned.config import load_config
 from policies.learned.device_trainer import DeviceTrainer
 from policies.learned.run import problems_of

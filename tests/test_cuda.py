@@ -103,8 +103,8 @@ def test_games_are_on_the_first_device_alone() -> None:
 
 @pytest.mark.gpu
 def test_a_real_device_plays_the_same_games() -> None:
-    from device_games import CASES as cases
-    from device_games import compare
+    from policies.bench.cuda import CASES as cases
+    from policies.bench.cuda import compare
 
     problems = marouting.generate(64, nets=8, max_pins=3, grid=(6, 6, 2), capacity=2)
     assert [compare(problems, 100, **options) for options in cases] == [None] * len(cases)
@@ -118,11 +118,11 @@ def test_all_kernels_compile_for_a_device(
     pytest.importorskip("numba_cuda")
     pytest.importorskip("nvidia.cu13")  # NVVM, which compiles
     import numba.cuda.dispatcher
-    from device_games import CASES as cases
     from numba import cuda, types
     from numba.cuda.typing.typeof import typeof
 
     import marouting.cuda.games as device
+    from policies.bench.cuda import CASES as cases
 
     class Array(np.ndarray):
         def copy_to_device(self, other: Any) -> None:

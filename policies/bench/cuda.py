@@ -1,9 +1,9 @@
-"""``python -m policies.bench.cuda``: measures the batch on a CUDA device.
+"""``python -m policies.bench.cuda``: checks the batch on a CUDA device, then measures it.
 
-It measures, one after the other: PPO, steps by the number of games with the paper's observation and
-with windows, and Connector of Jumanji on the same card if jumanji and jax are installed. The whole
-takes less than 8 minutes. ``pytest -m gpu`` compares games on the device with those on the
-processor.
+First, games on the device are compared with the same games on the processor, to the bit. Then it
+measures, one after the other: steps by the number of games with the paper's observation and with
+windows, Connector of Jumanji on the same card if jumanji and jax are installed, and PPO. The whole
+takes less than 8 minutes.
 """
 
 import importlib
@@ -11,7 +11,9 @@ import json
 import re
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +35,8 @@ from policies.cli.options import FILE
 from policies.learned.algorithms import ppo
 from policies.learned.on_device import DevicePPO
 
-SECTIONS = ("learning", "paper", "window", "connector")
-"""What is measured, in this order."""
+SECTIONS = ("learning", "equality", "paper", "window", "connector")
+"""What is measured, in this order: comparisons compile beside the first trainings."""
 
 SCENARIO = "gates-8x7-v0"
 """Where trainings are measured."""
@@ -49,6 +51,8 @@ GAMES = (4096, 16384, 65536, 262144)
 
 WINDOW = {"kind": "window", "radius": 3, "layers": 0, "channels": ["capacity", "own", "heads"]}
 
+WINDOW_ALL = {"kind": "window", "channels": ["capacity", "history", "own", "pins", "heads"]}
+
 PPO = {
     "network": {"kind": "mlp", "hidden": [128, 128]},
     "gamma": 0.99,
@@ -56,6 +60,105 @@ PPO = {
     "final_failures": True,
 }
 """The options of the learner: those of trainings on endless problems."""
+
+
+# --- equality -------------------------------------------------------------------------------------
+
+CASES: Sequence[Mapping[str, Any]] = (
+    {},
+    {"everyone": False},
+    {"everyone": False, "turn_order": "round_robin"},
+    {"turn_order": "sequential"},
+    {"overflow": "allowed", "reward": {"kind": "normalised", "overflow_price": 2.0}},
+    {"target": "tree", "nets": {"decomposition": "steiner"}},
+    {"next_pin": "nearest"},
+    {"mask": {"visited": True}, "release_failed": True, "max_steps": 20},
+    {"rip_up": {"rounds": 2, "choose": "conflicts", "neighbours": 1}},
+    {"rip_up": {"rounds": 1, "choose": "agents"}, "everyone": False},
+    {"rip_up": {"rounds": 2, "choose": "history"}},
+    {"observation": WINDOW, "reward": "team"},
+    {"observation": WINDOW_ALL, "reward": "counterfactual", "everyone": False},
+    {"observation": {**WINDOW, "channels": ["messages"]}, "wait": True, "message_bits": 3},
+)
+"""Options by which games are compared."""
+
+
+def on_host(value: Any) -> np.ndarray:
+    """A copy of an array of the device; an array of the processor as it is."""
+    return value.copy_to_host() if hasattr(value, "copy_to_host") else np.asarray(value)
+
+
+def difference(host: Mapping[str, Any], found: Mapping[str, Any]) -> str | None:
+    """The name of the first array that differs; None if all are equal to the bit."""
+    for name, value in host.items():
+        if isinstance(value, Mapping):
+            inner = difference(value, found[name])
+            if inner is not None:
+                return f"{name}.{inner}"
+        elif not np.array_equal(on_host(value), on_host(found[name])):
+            return name
+    return None
+
+
+def compare(
+    problems: Sequence[marouting.Problem], steps: int, seed: int = 0, **options: Any
+) -> str | None:
+    """Plays the same random moves on the processor and on the device.
+
+    Args:
+        problems: what is played.
+        steps: how many steps; episodes begin again as they end.
+        seed: of the moves; one in twenty is no move.
+        **options: of the environments.
+
+    Returns:
+        What differs first, with the number of the step; None if nothing does.
+    """
+    host = BatchEnv(problems, **options)
+    other: Any = BatchEnv(problems, device="cuda", **options)
+    rng = np.random.default_rng(seed)
+    order, number = host.engine.order, np.arange(len(problems))[:, None]
+    place = np.arange(order.shape[1])
+    turned = np.where(order < 0, place, order)  # the agent on the processor of a row of the device
+    if np.array_equal(other.nets, host.engine.nets):
+        order = turned = np.broadcast_to(place, order.shape)
+
+    def by_row(value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return {name: by_row(part) for name, part in value.items()}
+        rows = options.get("everyone", True) and np.ndim(value) > 1
+        return value[number, turned] if rows else value
+
+    obs, info = host.reset()
+    found, told = other.reset()
+    for step in range(steps):
+        agents, known = on_host(told["agents"]), by_row(info["agents"])
+        if not np.array_equal(known, np.where(agents < 0, agents, order[number, agents])):
+            return f"step {step}: agents"
+        seen = {**by_row({"obs": obs, **info}), "agents": agents}
+        differs = difference(seen, {"obs": found, **told})
+        if differs is not None:
+            return f"step {step}: {differs}"
+        mask = info["action_mask"]
+        moves = (mask * rng.random(mask.shape)).argmax(-1)
+        moves[rng.random(moves.shape) < 0.05] = -1
+        obs, *flags, info = host.step(moves)
+        found, *others, told = other.step(by_row(moves).astype(np.int32))
+        names = "reward", "terminated", "truncated"
+        differs = difference(
+            by_row(dict(zip(names, flags, strict=True))), dict(zip(names, others, strict=True))
+        )
+        if differs is not None:
+            return f"step {step}: {differs}"
+    if not np.array_equal(host.state(), on_host(other.state())):
+        return "state"
+    for m in range(len(problems)):
+        if host.engine.solution(m) != other.solution(m):
+            return f"routes of game {m}"
+    return None
+
+
+# --- speed ----------------------------------------------------------------------------------------
 
 
 @compiled
@@ -100,11 +203,6 @@ class Random:
         actions = self.env.actions
         self.env._run(self.choose, actions.size, info["action_mask"], actions, self.counter)
         return actions
-
-
-def on_host(value: Any) -> np.ndarray:
-    """A copy of an array of the device; an array of the processor as it is."""
-    return value.copy_to_host() if hasattr(value, "copy_to_host") else np.asarray(value)
 
 
 def timed(call: Callable[[], Any], seconds: float) -> float:
@@ -245,7 +343,7 @@ def card() -> dict[str, Any]:
 @click.option("--sections", default=",".join(SECTIONS), show_default=True)
 @click.option("--games", default=",".join(map(str, GAMES)), show_default=True)
 def main(out: Path | None, seconds: float, sections: str, games: str) -> None:
-    """Measure the batch on a CUDA device."""
+    """Check the batch on a CUDA device, and measure it."""
     names, counts = sections.split(","), games.split(",")
     for name in names:
         check("--sections", name in SECTIONS, f"some of {', '.join(SECTIONS)}, found {name}")
@@ -267,7 +365,10 @@ def main(out: Path | None, seconds: float, sections: str, games: str) -> None:
             write_text(out, json.dumps(report, indent=1) + "\n")
 
     def measure(section: str) -> None:
-        if section == "learning":
+        if section == "equality":
+            for options, differs in zip(CASES, found, strict=True):
+                done(section, {"options": dict(options), "differs": differs.result()})
+        elif section == "learning":
             for learner, count, share, steps in TRAININGS:
                 for row in learning(learner, count, share * seconds, steps):
                     done(section, row)
@@ -280,12 +381,17 @@ def main(out: Path | None, seconds: float, sections: str, games: str) -> None:
             for count in numbers:
                 done(section, speed(count, seconds, **options))
 
+    pool = ProcessPoolExecutor(len(CASES), get_context("spawn"))  # each compiles for a minute
+    problems = marouting.generate(64, nets=8, max_pins=3, grid=(6, 6, 2), capacity=2)
+    wanted = CASES if "equality" in names else ()
+    found = [pool.submit(compare, problems, 100, **options) for options in wanted]
     for name in names:
         try:
             measure(name)
         except Exception as error:  # the next sections are worth as much
             done("failed", f"{name}: {type(error).__name__}: {str(error)[-600:]}")
-    sys.exit("failed" in report)
+    wrong = [row for row in report.get("equality", ()) if row["differs"]]
+    sys.exit(1 if wrong or "failed" in report else 0)
 
 
 if __name__ == "__main__":

@@ -42,7 +42,8 @@ class Measurement:
 
 def machine() -> dict[str, Any]:
     """What the figures were measured on; of packages that are not installed None."""
-    packages = ("numpy", "numba", "numba-cuda", "torch", "pettingzoo", "gymnasium", "scipy", "jax")
+    packages = ["numpy", "numba", "numba-cuda", "torch", "pettingzoo", "gymnasium", "scipy"]
+    packages += ["jax", "jumanji"]
     found: dict[str, str | None] = {}
     for name in packages:
         try:
