@@ -159,11 +159,11 @@ class Solution:
         order = np.argsort(ends.T.reshape(-1), kind="stable")
         first = np.searchsorted(ends.T.reshape(-1)[order], np.arange(size + 1))
         back, queue = np.full(size, _UNKNOWN), np.empty(size, np.int64)
-        graph = (ends[0], ends[1], at_pins, first, order // 2, back, queue, kept)
+        columns = (ends[0], ends[1], at_pins, first, order // 2, back, queue, kept)
         if len(edge) > MANY:
-            _mark_ways(*graph)
+            _mark_ways(*columns)
         else:
-            lists = [column.tolist() for column in graph]
+            lists = [column.tolist() for column in columns]
             _mark_ways.py_func(*lists)
             kept = np.array(lists[-1])
         return Solution.of_uses(self.problem, net[kept], edge[kept])
