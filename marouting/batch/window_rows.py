@@ -133,25 +133,30 @@ def _write_block(
             column = place(i64(gx), x, reach, along_x, right)
             p = begin + (column * height + first) * depth + gz - z + deep
             cell = (gx * rows + low_y) * layers + gz
+            edge = AXES * cell + kind
             for chunk in range(low_y, high_y, _CHUNK):
                 left = _bits(high_y - chunk)
+                # The usual channels have loops of their own: no branch inside of them.
+                while what == CAPACITY and left != 0:
+                    remaining = i64(dynamic.remaining[m, as_index(edge)])
+                    out[row, as_index(p)] = _tracks(remaining, track)
+                    edge, p, left = edge + AXES * layers, p + step, left >> 1
+                while what == HEADS and left != 0:
+                    out[row, as_index(p)] = squashed_whole(i64(heads[m, as_index(cell)]))
+                    cell, p, left = cell + layers, p + step, left >> 1
                 while left != 0:
-                    edge = AXES * cell + kind
-                    if what == CAPACITY:
-                        value = _tracks(i64(dynamic.remaining[m, as_index(edge)]), track)
-                    elif what == HEADS:
-                        value = squashed_whole(i64(heads[m, as_index(cell)]))
-                    elif what == HISTORY:
+                    if what == HISTORY:
                         value = squashed_whole(i64(dynamic.numbers[m, as_index(history + edge)]))
                     elif what == DEMAND:
-                        remaining = dynamic.remaining[m, as_index(edge)]
+                        left_over = dynamic.remaining[m, as_index(edge)]
                         wide = np.float32(track)
-                        value = squashed(slack_of(maps, m, as_index(cell), kind, remaining, wide))
+                        value = squashed(slack_of(maps, m, as_index(cell), kind, left_over, wide))
                     else:
                         message = i64(heads[m, as_index(columns * rows * layers + cell)])
                         value = np.float32(message >> (what - MESSAGES) & 1)
                     out[row, as_index(p)] = value
-                    cell, p, left = cell + layers, p + step, left >> 1
+                    cell, edge = cell + layers, edge + AXES * layers
+                    p, left = p + step, left >> 1
 
 
 @inlined
@@ -259,8 +264,9 @@ def write_window(
     at = x, y, z, right, up
     side, depth = 2 * i64(where.radius) + 1, 2 * i64(where.layers) + 1
     # One loop over the blocks instead of many calls, each of which would compile everything again.
-    for turn in range(2 * HEADS + 1 + i64(where.bits)):
-        what, kind, begin = i64(turn // 2), i64(turn % 2), i64(where.capacity)
+    bits = i64(where.bits) if where.messages >= 0 else i64(0)
+    for turn in range(2 * HEADS + 1 + bits):
+        what, kind, begin = i64(turn >> 1), i64(turn & 1), i64(where.capacity)
         size = side * (side + 1) * depth * kind
         if turn >= 2 * HEADS:  # a block of Gcells
             what, kind = i64(turn - HEADS), i64(AXES)
