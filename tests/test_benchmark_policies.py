@@ -171,7 +171,8 @@ def test_rules_have_the_costs_of_the_price_of_anarchy(
     assert row["score"]["mean"] == pytest.approx(0, abs=2e-3)
     assert row["sight"] == f"radius {best.radius}"
     assert (row["teacher"], row["parameters"], row["agent_steps"]) == (False, 0, 0)
-    expected = next(of for of in stored if of.split == "test" and of.of(LocalRouter(radius=None)))
+    selfish = LocalRouter(radius=None)
+    expected = next(of for of in stored if of.split == "test" and of.router == selfish)
     assert rows["selfish"]["cost"] == pytest.approx(expected.cost, abs=1e-4)
     if name == GATES:
         for rule, sight in ((RULES[1], "radius 0"), (LocalRouter(radius=None), "full sight")):

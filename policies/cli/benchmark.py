@@ -50,7 +50,7 @@ RULES = BASELINES.with_name("rules.yaml")
 @click.option(
     "--config",
     type=FILE,
-    help="YAML file of more routers, by name.  [default, if there is no --router: "
+    help="YAML file of more routers, by name.  [default: if there is no --router, "
     "configs/benchmark/baselines.yaml, what does not learn; in scenarios of docs/cooperation.md "
     "configs/benchmark/rules.yaml, fixed rules]",
 )
