@@ -83,11 +83,13 @@ def draw(axes: Axes, scenario: str, rows: dict[str, dict[int, list[float]]]) -> 
         colour = COLOURS[name.partition("-")[2]]
         for budget, costs in rows[name].items():
             long = budget == max(BUDGETS)
-            x = [at + (0.2 if long else -0.2)] * len(costs)
+            aside = 0 if len(rows[name]) == 1 else 0.15 if long else -0.15
+            x = [at + aside] * len(costs)
             fill = colour if long else "white"
             axes.plot(x, costs, "o", color=colour, markerfacecolor=fill, markersize=5, zorder=2)
     axes.axhline(RULES[scenario], color=INK, linestyle=":", linewidth=1, zorder=1)
     axes.axhline(1, color=INK, linewidth=1, zorder=1)
+    axes.set_xlim(-0.5, len(names) - 0.5)
     axes.set_xticks(range(len(names)), [name.replace("-", "\n") for name in names], fontsize=7)
     axes.set_title(scenario, fontsize=10, color=INK)
     axes.tick_params(axis="y", labelsize=8)
