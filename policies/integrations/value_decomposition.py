@@ -17,7 +17,7 @@ What is set here, of BenchMARL 1.5's options (``benchmarl/conf``):
 ==============================  ==========  ========================================================
 ``lr``                          5e-4        5e-5, the default, is for ten times as many frames
 ``gamma``                       0.99        as our learners have
-``polyak_tau``                  0.01        twice as quick: the trainings are short
+``polyak_tau``                  0.01        not 0.005: the targets follow twice as fast
 moves between updates           3200        of 64 games
 optimiser steps, of moves       40, of 640  a move is learned from eight times
 memory                          125 000     moves of agents, 0.6 GB
@@ -26,7 +26,7 @@ networks                        2 × 128     as our learners have
 ==============================  ==========  ========================================================
 
 BenchMARL counts all this in frames, moves of all agents of a game; :func:`train` divides by the
-mean number of nets. Nothing was tuned. All else is as BenchMARL has it. An
+mean number of nets. No value was chosen by results. All else is as BenchMARL has it. An
 evaluation on the validation problems after every twentieth of the steps gives the learning curve;
 the last network is kept.
 """
