@@ -13,7 +13,7 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from policies.experiment.result import Result, policy_figures, read_result
+from policies.experiment.result import policy_figures, read_result
 from policies.figures.style import BLUE, INK, ORANGE, RED, save
 
 DOCS = Path(__file__).parents[1]
@@ -21,9 +21,14 @@ BUDGETS = {10**6: "1 M", 10**7: "10 M"}
 COLOURS = {"selfish": RED, "team": BLUE, "counterfactual": ORANGE}
 
 
-def trained() -> dict[str, dict[str, dict[int, list[float]]]]:
-    """The costs of all seeds by scenario, by row without its budget, and by budget."""
-    found: dict[str, dict[str, dict[int, list[float]]]] = {}
+Rows = dict[str, dict[int, list[float]]]
+"""The costs of all seeds of a scenario, by row without its budget, and by budget."""
+
+
+def trained() -> tuple[dict[str, Rows], dict[str, float]]:
+    """The costs of policies, and that of the best local rule, by scenario."""
+    found: dict[str, Rows] = {}
+    rules = {}
     for file in sorted((DOCS / "results/benchmark").glob("*.json")):
         result = read_result(file)
         steps = (result.policy and result.policy.agent_steps) or 0
@@ -32,16 +37,9 @@ def trained() -> dict[str, dict[str, dict[int, list[float]]]]:
                 row = result.name.removesuffix("-10m")
                 costs = policy_figures(result)["costs"]
                 found.setdefault(result.scenario, {}).setdefault(row, {})[budget] = costs
-                RULES[result.scenario] = _rule(result)
-    return found
-
-
-RULES: dict[str, float] = {}  # the cost of the best local rule, by scenario
-
-
-def _rule(result: Result) -> float:
-    assert result.scale is not None
-    return result.scale.local_rule
+                assert result.scale is not None
+                rules[result.scenario] = result.scale.local_rule
+    return found, rules
 
 
 def order(row: str) -> tuple[int, str]:
@@ -58,7 +56,7 @@ def told(costs: list[float]) -> str:
     return f"{statistics.median(costs):.3f} ({min(costs):.3f}–{max(costs):.3f}{seeds})"
 
 
-def table(found: dict[str, dict[str, dict[int, list[float]]]]) -> str:
+def table(found: dict[str, Rows], rules: dict[str, float]) -> str:
     """Costs by row and scenario, as Markdown; one table for each budget."""
     lines = []
     for budget, words in BUDGETS.items():
@@ -71,12 +69,12 @@ def table(found: dict[str, dict[str, dict[int, list[float]]]]) -> str:
             cells = [found[level].get(row, {}).get(budget) for level in levels]
             shown = " | ".join("–" if cell is None else told(cell) for cell in cells)
             lines.append(f"| `{row}` | {shown} |")
-        rules = " | ".join(f"{RULES[level]:.3f}" for level in levels)
-        lines.append(f"| best local rule | {rules} |")
+        best = " | ".join(f"{rules[level]:.3f}" for level in levels)
+        lines.append(f"| best local rule | {best} |")
     return "\n".join(lines)
 
 
-def draw(axes: Axes, scenario: str, rows: dict[str, dict[int, list[float]]]) -> None:
+def draw(axes: Axes, scenario: str, rows: Rows, rule: float) -> None:
     """A panel: the costs of the seeds of each row."""
     names = sorted(rows, key=order)
     for at, name in enumerate(names):
@@ -87,7 +85,7 @@ def draw(axes: Axes, scenario: str, rows: dict[str, dict[int, list[float]]]) -> 
             x = [at + aside] * len(costs)
             fill = colour if long else "white"
             axes.plot(x, costs, "o", color=colour, markerfacecolor=fill, markersize=5, zorder=2)
-    axes.axhline(RULES[scenario], color=INK, linestyle=":", linewidth=1, zorder=1)
+    axes.axhline(rule, color=INK, linestyle=":", linewidth=1, zorder=1)
     axes.axhline(1, color=INK, linewidth=1, zorder=1)
     axes.set_xlim(-0.5, len(names) - 0.5)
     axes.set_xticks(range(len(names)), [name.replace("-", "\n") for name in names], fontsize=7)
@@ -100,14 +98,14 @@ def draw(axes: Axes, scenario: str, rows: dict[str, dict[int, list[float]]]) -> 
 def main() -> None:
     """Prints the tables and draws the picture."""
     mpl.rcParams["svg.hashsalt"] = "marouting"
-    found = trained()
-    print(table(found))
+    found, rules = trained()
+    print(table(found, rules))
     shown = [name for name, rows in found.items() if len(rows) > 2]
     lines = -(-len(shown) // 2)
     figure = Figure(figsize=(9.5, 2.6 * lines), layout="constrained")
     panels = figure.subplots(lines, 2, squeeze=False).ravel()
     for axes, scenario in zip(panels, shown, strict=False):
-        draw(axes, scenario, found[scenario])
+        draw(axes, scenario, found[scenario], rules[scenario])
     for axes in panels[len(shown) :]:
         axes.set_axis_off()
     figure.supylabel("cost on the test problems", fontsize=9, color=INK)

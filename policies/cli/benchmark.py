@@ -12,10 +12,11 @@ from marouting import InputError
 from policies.cli.completion import keys_of, routers, scenario_names
 from policies.cli.options import FILE, WHOLE, allow_code_option, json_option, overrides_argument
 
+NAME = "{name}"
+"""In --name: the name that a row has otherwise."""
+
 BASELINES = Path("configs/benchmark/baselines.yaml")
 """What is scored unless a router is named."""
-
-NAME = "{name}"
 
 RULES = BASELINES.with_name("rules.yaml")
 """The same in scenarios of docs/cooperation.md."""
