@@ -193,6 +193,11 @@ def check_rows(
         raise ValueError(f"expected agents of the games, found {problems}, {agents}")
 
 
+def as_int32(*arrays: NDArray[np.integer]) -> tuple[NDArray[np.int32], ...]:
+    """The arrays as contiguous int32: a kernel is compiled once more for every other type."""
+    return tuple(np.ascontiguousarray(array, np.int32) for array in arrays)
+
+
 def check_shapes(
     problems: NDArray[np.integer], agents: NDArray[np.integer], out: NDArray[Any], width: int
 ) -> None:

@@ -213,9 +213,9 @@ def test_every_number_is_as_the_oracle_says(
 
 
 def test_long_columns_are_as_the_oracle_says() -> None:
-    """Kernels cut columns of more than 32 Gcells into pieces."""
+    """Kernels count down the numbers of a column in the bits of one word."""
     problem = generate(1, grid=(3, 80, 1), nets=12, capacity=3, seed=1)[0]
-    window = WindowObservation(32, 0, ("capacity", "demand", "own", "pins", "heads"))
+    window = WindowObservation(30, 0, ("capacity", "demand", "own", "pins", "heads"))
     engine, rng = Engine([problem], turn_order="round_robin"), np.random.default_rng(0)
     for _ in range(20):
         engine.step(rng.integers(0, 6, engine.nets.shape))
@@ -723,8 +723,8 @@ def test_trainings_take_it(learner: dict[str, Any], agents: str, tmp_path: Path)
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"radius": -1}, "radius: expected 0 to 32, found -1"),
-        ({"radius": 33}, "radius: expected 0 to 32, found 33"),
+        ({"radius": -1}, "radius: expected 0 to 30, found -1"),
+        ({"radius": 31}, "radius: expected 0 to 30, found 31"),
         ({"radius": 1.5}, "radius: expected"),
         ({"layers": 17}, "layers: expected 0 to 16, found 17"),
         ({"message_bits": 0}, "message_bits: expected 1 to 8, found 0"),
@@ -751,5 +751,5 @@ def test_windows_that_do_not_fit_into_memory(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setenv("MAROUTING_MAX_GIB", "0.2")
     with pytest.raises(InputError, match=r"^500 observations of \d+ numbers: expected to take"):
         global_routing_v0.parallel_env(
-            problem={"nets": 500}, observation={"kind": "window", "radius": 32, "layers": 3}
+            problem={"nets": 500}, observation={"kind": "window", "radius": 30, "layers": 3}
         )

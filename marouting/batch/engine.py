@@ -27,7 +27,7 @@ from marouting.batch.rules import (
 )
 from marouting.batch.setup import Room, dynamic_state, replace_problem, static_state
 from marouting.batch.state import Dynamic, Static
-from marouting.columns import check_rows
+from marouting.columns import as_int32, check_rows
 from marouting.config import check
 from marouting.game import NOBODY
 from marouting.kernels import as_index, compiled, i64
@@ -294,7 +294,8 @@ class Engine:
         moves = np.asarray(moves)
         self.check(moves)
         everyone = moves.ndim == 2
-        _move(self.static, self.dynamic, moves if everyone else moves[:, None], everyone)
+        (rows,) = as_int32(moves if everyone else moves[:, None])
+        _move(self.static, self.dynamic, rows, everyone)
 
     def settle(self, everyone: bool) -> None:
         """The second half of a step, of all agents or those whose turn it is: next tasks begin."""
@@ -391,7 +392,7 @@ class Engine:
         if out is None:
             out = np.empty((len(problems), self.actions), np.int8)
         check_rows(self, problems, agents, out, self.actions)
-        _masks(self.static, self.dynamic, problems, agents, out)
+        _masks(self.static, self.dynamic, *as_int32(problems, agents), out)
         return out
 
     def metrics(self, m: int = 0) -> Metrics:

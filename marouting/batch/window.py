@@ -76,13 +76,14 @@ from marouting.batch.places import grid_of, position
 from marouting.batch.state import Dynamic, Option, Static
 from marouting.batch.tasks import is_later
 from marouting.batch.window_rows import (
+    MOST_RADIUS,
     SCALARS,
     Where,
     count_heads,
     write_window,
 )
 from marouting.checks import check_fields
-from marouting.columns import Games, check_shapes
+from marouting.columns import Games, as_int32, check_shapes
 from marouting.config import check
 from marouting.game import NOBODY, Status
 from marouting.kernels import as_index, compiled, i64, specialised
@@ -95,7 +96,6 @@ Channel = Literal["capacity", "demand", "history", "own", "pins", "heads", "mess
 CHANNELS: tuple[Channel, ...] = get_args(Channel)
 """All channels, in the order in which they follow in a row."""
 
-MOST_RADIUS = 32
 MOST_LAYERS = 16
 
 _X, _Y, _Z, _GCELLS = 0, 1, VIA_AXIS, AXES
@@ -120,7 +120,7 @@ class WindowObservation:
     """The surroundings of an agent, mirrored towards its target; see :mod:`marouting.batch.window`.
 
     Attributes:
-        radius: Gcells that are seen in each direction of x and y, 0 to 32.
+        radius: Gcells that are seen in each direction of x and y, 0 to 30.
         layers: layers that are seen above and below the agent's own, 0 to 16.
         channels: the quantities shown, some of ``capacity``, ``demand``, ``history``, ``own``,
             ``pins``, ``heads`` and ``messages``.
@@ -218,12 +218,13 @@ class WindowObservation:
         check_shapes(problems, agents, out, self.size)
         engine = engine_of(games)
         maps = maps_of(engine) if "demand" in self.channels else _NO_MAPS
-        known = engine.static, engine.dynamic, _heads_of(engine), maps
-        arguments = *known, self.where, problems, agents, out
-        plain = problems.dtype == agents.dtype == np.int32
-        plain &= all(array.flags.c_contiguous for array in (problems, agents, out))
-        if not (_bound_to(engine, arguments) if plain else _write_rows)(*arguments):
+        known = engine.static, engine.dynamic, _heads_of(engine), maps, self.where
+        rows = np.ascontiguousarray(out, np.float32)
+        arguments = *known, *as_int32(problems, agents), rows
+        if not _bound_to(engine, arguments)(*arguments):
             raise ValueError(f"expected agents of the games, found {problems}, {agents}")
+        if rows is not out:
+            out[...] = rows
 
     def move_order(self, obs: NDArray[np.float32]) -> NDArray[np.int64]:
         """The moves on the grid that the moves of the window are, for what learns in the window.

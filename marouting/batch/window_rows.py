@@ -1,7 +1,7 @@
 """The rows of the observation ``window``, compiled: one kernel writes the row of one agent.
 
 :mod:`marouting.batch.window` says what is in a row. Most of it is nought, so a row is cleared
-first and then only what is on the grid is written. What follows from a whole number is looked up.
+first and then only what is on the grid is written.
 """
 
 import math
@@ -23,7 +23,6 @@ SCALARS = 16
 """Numbers at the beginning of a row."""
 
 _NEAR = 256
-_SQUASHED = np.array([q / (1 + abs(q)) for q in range(-_NEAR, _NEAR)], np.float32)
 _LOGARITHMS = np.array([math.log2(1 + d) / 8 for d in range(_NEAR)], np.float32)
 
 
@@ -45,8 +44,6 @@ class Where(NamedTuple):
 @inlined
 def squashed_whole(number: int) -> Any:
     """float32, q / (1 + |q|) of a whole number."""
-    if -_NEAR <= number < _NEAR:
-        return _SQUASHED[as_index(number + _NEAR)]
     return squashed(np.float32(number))
 
 
@@ -89,18 +86,8 @@ def place(at: int, here: int, reach: int, along: int, forward: int) -> int:
     return at - here + reach + along if forward else here - at + reach
 
 
-_CHUNK = 32
-
-
-@inlined
-def _bits(number: int) -> int:
-    """So many bits, at most 32, for a loop that shifts them out one by one.
-
-    Columns of a window are short. A loop over a range would be made into one over vectors, which
-    takes twice as long for so few numbers.
-    """
-    return (i64(1) << min(number, i64(_CHUNK))) - 1
-
+MOST_RADIUS = 30
+"""So a column of a window has at most 62 numbers; see :func:`_write_block`."""
 
 # --- channels -------------------------------------------------------------------------------------
 
@@ -127,36 +114,40 @@ def _write_block(
     first = place(low_y, y, reach, along_y, up)
     step = depth if up else -depth
     history = i64(static.options[Option.HISTORY])
+    first_x, end_x = low(x, reach, along_x), high(x, reach, along_x, columns)
+    across = height * depth if right else -height * depth
+    # The loops shift out a bit for each number. The compiler would turn loops over a range into
+    # ones over vectors, which take twice as long for columns as short as these.
+    many = (i64(1) << (high_y - low_y)) - 1
     for gz in range(low(z, deep, i64(0)), high(z, deep, i64(0), layers)):
         track = max(i64(static.demand[m, n, as_index(gz)]), 1)
-        for gx in range(low(x, reach, along_x), high(x, reach, along_x, columns)):
-            column = place(i64(gx), x, reach, along_x, right)
-            p = begin + (column * height + first) * depth + gz - z + deep
-            cell = (gx * rows + low_y) * layers + gz
-            edge = AXES * cell + kind
-            for chunk in range(low_y, high_y, _CHUNK):
-                left = _bits(high_y - chunk)
-                # The usual channels have loops of their own: no branch inside of them.
-                while what == CAPACITY and left != 0:
-                    remaining = i64(dynamic.remaining[m, as_index(edge)])
-                    out[row, as_index(p)] = _tracks(remaining, track)
-                    edge, p, left = edge + AXES * layers, p + step, left >> 1
-                while what == HEADS and left != 0:
-                    out[row, as_index(p)] = squashed_whole(i64(heads[m, as_index(cell)]))
-                    cell, p, left = cell + layers, p + step, left >> 1
-                while left != 0:
-                    if what == HISTORY:
-                        value = squashed_whole(i64(dynamic.numbers[m, as_index(history + edge)]))
-                    elif what == DEMAND:
-                        left_over = dynamic.remaining[m, as_index(edge)]
-                        wide = np.float32(track)
-                        value = squashed(slack_of(maps, m, as_index(cell), kind, left_over, wide))
-                    else:
-                        message = i64(heads[m, as_index(columns * rows * layers + cell)])
-                        value = np.float32(message >> (what - MESSAGES) & 1)
-                    out[row, as_index(p)] = value
-                    cell, edge = cell + layers, edge + AXES * layers
-                    p, left = p + step, left >> 1
+        corner = begin + (place(first_x, x, reach, along_x, right) * height + first) * depth
+        corner += gz - z + deep
+        below = (first_x * rows + low_y) * layers + gz
+        for _ in range(first_x, end_x):
+            p, cell, edge, left = corner, below, AXES * below + kind, many
+            corner, below = corner + across, below + rows * layers
+            # The usual channels have loops of their own: no branch inside of them.
+            while what == CAPACITY and left != 0:
+                remaining = i64(dynamic.remaining[m, as_index(edge)])
+                out[row, as_index(p)] = _tracks(remaining, track)
+                edge, p, left = edge + AXES * layers, p + step, left >> 1
+            while what == HEADS and left != 0:
+                out[row, as_index(p)] = squashed_whole(i64(heads[m, as_index(cell)]))
+                cell, p, left = cell + layers, p + step, left >> 1
+            while left != 0:
+                if what == HISTORY:
+                    value = squashed_whole(i64(dynamic.numbers[m, as_index(history + edge)]))
+                elif what == DEMAND:
+                    left_over = dynamic.remaining[m, as_index(edge)]
+                    wide = np.float32(track)
+                    value = squashed(slack_of(maps, m, as_index(cell), kind, left_over, wide))
+                else:
+                    message = i64(heads[m, as_index(columns * rows * layers + cell)])
+                    value = np.float32(message >> (what - MESSAGES) & 1)
+                out[row, as_index(p)] = value
+                cell, edge = cell + layers, edge + AXES * layers
+                p, left = p + step, left >> 1
 
 
 @inlined

@@ -10,6 +10,7 @@ from marouting.batch.bits import byte_of, put_numbers
 from marouting.batch.edges import may_cross, uses
 from marouting.batch.engine import Engine
 from marouting.batch.state import Dynamic, Static
+from marouting.columns import as_int32
 from marouting.errors import InputError
 from marouting.game import NOBODY, Status
 from marouting.kernels import as_index, compiled, i64
@@ -73,8 +74,8 @@ class AStar:
             (K,) int8; NOBODY for an agent that is not active.
         """
         out = np.empty(len(problems), np.int8)
-        engine = self._engine
-        _moves(engine.static, engine.dynamic, self._buffers, self._route, problems, agents, out)
+        known = self._engine.static, self._engine.dynamic, self._buffers, self._route
+        _moves(*known, *as_int32(problems, agents), out)
         return out
 
 

@@ -71,8 +71,8 @@ from marouting.batch.places import distance, grid_of, position
 from marouting.batch.prices import UNIT, edge_cost, is_priced, price_of
 from marouting.batch.state import Dynamic, Option, Static
 from marouting.batch.tasks import holds, is_later, is_on, next_nearest
-from marouting.batch.window import MOST_RADIUS, move_order
-from marouting.batch.window_rows import write_numbers
+from marouting.batch.window import move_order
+from marouting.batch.window_rows import MOST_RADIUS, write_numbers
 from marouting.checks import check_fields
 from marouting.columns import Games, check_rows
 from marouting.game import NOBODY, Crossing
@@ -169,7 +169,7 @@ class OutlookObservation:
     """The generalist's observation; see :mod:`policies.generalist.outlook`.
 
     Attributes:
-        radius: Gcells that are seen in each direction of x and y, 0 to 32.
+        radius: Gcells that are seen in each direction of x and y, 0 to 30.
         margin: Gcells by which ways may leave the box around the open pins, from 1.
     """
 
