@@ -88,5 +88,6 @@ def steiner_tasks(
     web = make_web(most)
     tasks = np.empty((2 * int(pins.sum()), 3), np.int32)
     position = np.stack(np.unravel_index(gcells, grid), axis=1)
+    first = np.array(first)  # not read-only, for which the kernel would be compiled once more
     rows = _cut(first, position, np.array(grid, np.int64), lattice, search, web, tasks)
     return tasks[:rows].copy()
