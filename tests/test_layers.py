@@ -58,7 +58,7 @@ ROOMS = {
         (DOOR,),
     ),
     "policies": (
-        ("integrations", "interrupts"),
+        ("command", "integrations", "interrupts"),
         ("engines",),
         ("routers",),
         ("results",),

@@ -23,7 +23,6 @@ even with full sight, costs less than :data:`LEAST_FIXED`.
 import csv
 import io
 import json
-import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
@@ -32,11 +31,12 @@ from typing import Any
 
 import click
 
-from marouting import InputError, Problem, scenarios
+from marouting import Problem, scenarios
 from marouting.config import check
 from marouting.files import read_text, write_text
 from marouting.scenarios import Scenario
 from marouting.scenarios.cooperation import COOPERATION, Braess
+from policies.command import Command
 from policies.experiment.played import rules_of
 from policies.routers.local import LocalRouter, Rule
 
@@ -231,29 +231,25 @@ def table(files: Iterable[Path]) -> Iterator[str]:
         yield f"| {' | '.join(cells)} |"
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("names", nargs=-1)
 @click.option("--table", "shown", is_flag=True, help="Only print the table of what is known.")
 def main(names: Sequence[str], shown: bool) -> None:
     """Measures what selfishness costs in scenarios for policies (all, unless NAMES are given)."""
     known = [scenario.name for scenario in COOPERATION]
-    try:
-        for name in names:
-            check("scenario", name in known, f"one of {', '.join(known)}, found {name!r}")
-        if shown:
-            for line in table(FOLDER / f"{name}.csv" for name in names or known):
-                click.echo(line)
-            return
-        for name in names or known:
-            rows = list(measure_all(scenarios.get(name)))
-            write_rows(scenarios.get(name), rows)
-            best = best_local(rows)["test"]
-            why = refused(rows)
-            text = f"not worth playing: {why}" if why else "worth playing"
-            click.echo(f"{name}: {best.cost:.3f} by {rule_text(best)}; {text}", err=True)
-    except InputError as error:
-        click.echo(f"Error: {error}", err=True)
-        sys.exit(2)
+    for name in names:
+        check("scenario", name in known, f"one of {', '.join(known)}, found {name!r}")
+    if shown:
+        for line in table(FOLDER / f"{name}.csv" for name in names or known):
+            click.echo(line)
+        return
+    for name in names or known:
+        rows = list(measure_all(scenarios.get(name)))
+        write_rows(scenarios.get(name), rows)
+        best = best_local(rows)["test"]
+        why = refused(rows)
+        text = f"not worth playing: {why}" if why else "worth playing"
+        click.echo(f"{name}: {best.cost:.3f} by {rule_text(best)}; {text}", err=True)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ A rule of :mod:`policies.routers.local` plays training problems of the scenario.
 negative logarithm of their probability is minimised). The critic is not trained.
 """
 
-import sys
 from pathlib import Path
 
 import click
@@ -19,13 +18,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from marouting import InputError
 from marouting.config import check
 from marouting.files import writing
 from marouting.observations import has_move_order, move_order_of
 from marouting.scenarios.cooperation import COOPERATION
 from marouting.source import ProblemSampler
 from marouting.vector import BatchEnv
+from policies.command import Command
 from policies.learned.config import Config, load_config
 from policies.learned.machine import use_threads
 from policies.learned.run import problems_of
@@ -130,7 +129,7 @@ def cloned(config: Config, rule: LocalRouter, out: Path, moves: int = MOVES) -> 
     return same
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("name")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="File to write.")
 @click.option("--radius", default=3, show_default=True, help="How far the rule sees.")
@@ -140,16 +139,12 @@ def cloned(config: Config, rule: LocalRouter, out: Path, moves: int = MOVES) -> 
 def main(name: str, out: Path, radius: int, price: float, moves: int, seed: int) -> None:
     """Trains a policy that imitates a local rule in the scenario NAME."""
     known = [scenario.name for scenario in COOPERATION]
-    try:
-        check("scenario", name in known, f"one of {', '.join(known)}, found {name!r}")
-        check("--moves", moves > 0, "a number above 0")
-        use_threads(1)
-        config = load_config(None, [f"env.scenario={name}", "learner.kind=ippo", f"seed={seed}"])
-        same = cloned(config, LocalRouter(radius=radius, price=price), out, moves)
-        click.echo(f"{out}: makes {same:.1%} of the rule's moves", err=True)
-    except InputError as error:
-        click.echo(f"Error: {error}", err=True)
-        sys.exit(2)
+    check("scenario", name in known, f"one of {', '.join(known)}, found {name!r}")
+    check("--moves", moves > 0, "a number above 0")
+    use_threads(1)
+    config = load_config(None, [f"env.scenario={name}", "learner.kind=ippo", f"seed={seed}"])
+    same = cloned(config, LocalRouter(radius=radius, price=price), out, moves)
+    click.echo(f"{out}: makes {same:.1%} of the rule's moves", err=True)
 
 
 if __name__ == "__main__":

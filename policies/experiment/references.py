@@ -12,7 +12,6 @@ scenario is written after every problem; a run that was stopped goes on from the
 """
 
 import json
-import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
@@ -21,7 +20,6 @@ from typing import NamedTuple
 import click
 
 from marouting import (
-    InputError,
     Problem,
     evaluate,
     generate,
@@ -30,6 +28,7 @@ from marouting import (
 from marouting.config import check
 from marouting.files import write_text
 from marouting.scenarios.references import Record, read_references, references_in
+from policies.command import Command
 from policies.routers.optimal import OptimalRouter
 from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
 
@@ -108,7 +107,7 @@ def solve_scenario(name: str, effort: Effort, *, again: bool = False) -> Iterato
         yield known[digest]
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("names", nargs=-1)
 @click.option("--seconds", default=30.0, show_default=True, help="Time of `optimal` per problem.")
 @click.option("--seeds", default=2, show_default=True, help="Seeds of negotiated congestion.")
@@ -122,23 +121,19 @@ def main(
     again: bool,
 ) -> None:
     """Computes the references of scenarios (all, unless NAMES are given)."""
-    try:
-        check("--seconds", seconds >= 0, "a number from 0")
-        check("--each", each >= 0, "a number from 0")
-        check("--seeds", seeds >= 0, "a number from 0")
-        # So that no time of a reference includes compiling.
-        solve(generate(1, (4, 4, 2), nets=9, capacity=1)[0], "", Effort(0.1, 1, 0.1))
-        for name in names or scenarios.names():
-            for record in solve_scenario(name, Effort(seconds, seeds, each), again=again):
-                click.echo(
-                    f"{name} {record.problem}: {record.overflow} / {record.wirelength}, bound "
-                    f"{record.bound_overflow} / {record.bound_wirelength}, {record.how}, "
-                    f"{record.seconds:.1f} s",
-                    err=True,
-                )
-    except InputError as error:
-        click.echo(f"Error: {error}", err=True)
-        sys.exit(2)
+    check("--seconds", seconds >= 0, "a number from 0")
+    check("--each", each >= 0, "a number from 0")
+    check("--seeds", seeds >= 0, "a number from 0")
+    # So that no time of a reference includes compiling.
+    solve(generate(1, (4, 4, 2), nets=9, capacity=1)[0], "", Effort(0.1, 1, 0.1))
+    for name in names or scenarios.names():
+        for record in solve_scenario(name, Effort(seconds, seeds, each), again=again):
+            click.echo(
+                f"{name} {record.problem}: {record.overflow} / {record.wirelength}, bound "
+                f"{record.bound_overflow} / {record.bound_wirelength}, {record.how}, "
+                f"{record.seconds:.1f} s",
+                err=True,
+            )
 
 
 if __name__ == "__main__":

@@ -79,8 +79,9 @@ class GeneralistOptions:
         weights: a file of a trained policy with the observation ``outlook``, such as
             ``configs/generalist.yaml`` trains; None: the one that is shipped with the package, see
             ``README.md`` beside it.
-        seconds: limit of processor time, without loading and compiling. It may be exceeded until
-            all nets have routed for the first time. None: no limit.
+        seconds: limit of processor time. It may be exceeded until all nets have routed for the
+            first time. In a process's first route it counts loading compiled code, unless
+            :func:`policies.routers.base.warm_up` has been called, as commands do. None: no limit.
         rounds: the most rip-up rounds; 0 for a single shot.
         temperature: of the softmax from which moves are sampled.
         neighbours: the most blocking nets that are rerouted together with a net.

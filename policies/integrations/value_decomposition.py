@@ -47,9 +47,10 @@ from benchmarl.experiment import Callback, Experiment, ExperimentConfig
 from benchmarl.models.mlp import MlpConfig
 from torch import nn
 
-from marouting import InputError, evaluate_policy, scenarios
+from marouting import evaluate_policy, scenarios
 from marouting.config import build_json, check
 from marouting.files import read_text, write_text
+from policies.command import Command
 from policies.integrations.benchmarl import ROW, Moves, RoutingClass
 from policies.integrations.torchrl import GROUP
 
@@ -175,7 +176,7 @@ def train(
     return row
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("algorithm", type=click.Choice(["vdn", "qmix"]))
 @click.option("--scenario", required=True, help="Cooperative scenario to learn.")
 @click.option("--steps", default=1_000_000, show_default=True, help="Agent-steps.")
@@ -186,13 +187,9 @@ def main(
     algorithm: str, scenario: str, steps: int, seed: int, out: Path, changes: tuple[str, ...]
 ) -> None:
     """Trains VDN or QMIX for so many agent-steps and prints the row in JSON."""
-    try:
-        pairs = (change.split("=", 1) for change in changes)
-        own = {name: json.loads(value) for name, value in pairs}
-        click.echo(json.dumps(train(algorithm, scenario, steps, seed, out, **own)))
-    except InputError as error:
-        click.echo(f"Error: {error}", err=True)
-        sys.exit(2)
+    pairs = (change.split("=", 1) for change in changes)
+    own = {name: json.loads(value) for name, value in pairs}
+    click.echo(json.dumps(train(algorithm, scenario, steps, seed, out, **own)))
 
 
 if __name__ == "__main__":
