@@ -1,4 +1,4 @@
-"""Draws docs/pictures/cooperation/trained.svg and prints the table of docs/cooperation.md.
+"""Draws docs/pictures/cooperation/trained.svg and prints the tables of docs/cooperation.md.
 
 python docs/pictures/trained.py
 
@@ -19,6 +19,8 @@ from policies.figures.style import BLUE, INK, ORANGE, RED, save
 DOCS = Path(__file__).parents[1]
 BUDGETS = {10**6: "1 M", 10**7: "10 M"}
 COLOURS = {"selfish": RED, "team": BLUE, "counterfactual": ORANGE}
+MAIN = ("gates-8x7-v0", "gates-mixed-v0", "multi-pin-once-8x8-v0", "two-pin-once-8x8-v0")
+"""The levels on which all algorithms are trained; the others have a table of their own."""
 
 
 Rows = dict[str, dict[int, list[float]]]
@@ -56,22 +58,20 @@ def told(costs: list[float]) -> str:
     return f"{statistics.median(costs):.3f} ({min(costs):.3f}–{max(costs):.3f}{seeds})"
 
 
-def table(found: dict[str, Rows], rules: dict[str, float]) -> str:
-    """Costs by row and scenario, as Markdown; one table for each budget."""
-    lines = []
-    for budget, words in BUDGETS.items():
-        levels = [of for of, rows in found.items() if any(budget in own for own in rows.values())]
-        rows = {row for of in levels for row, own in found[of].items() if budget in own}
-        lines += ["", f"{words} agent-steps", ""]
-        lines += ["| policy | " + " | ".join(f"`{level}`" for level in levels) + " |"]
-        lines += ["|---|" + "---:|" * len(levels)]
-        for row in sorted(rows, key=order):
-            cells = [found[level].get(row, {}).get(budget) for level in levels]
-            shown = " | ".join("–" if cell is None else told(cell) for cell in cells)
-            lines.append(f"| `{row}` | {shown} |")
-        best = " | ".join(f"{rules[level]:.3f}" for level in levels)
-        lines.append(f"| best local rule | {best} |")
-    return "\n".join(lines)
+def table(found: dict[str, Rows], rules: dict[str, float], budget: int) -> str:
+    """Costs by row and scenario for a budget, as Markdown; empty if there are none."""
+    levels = [of for of, rows in found.items() if any(budget in own for own in rows.values())]
+    if not levels:
+        return ""
+    rows = {row for of in levels for row, own in found[of].items() if budget in own}
+    lines = [f"| {BUDGETS[budget]} agent-steps | " + " | ".join(f"`{of}`" for of in levels) + " |"]
+    lines += ["|---|" + "---:|" * len(levels)]
+    for row in sorted(rows, key=order):
+        cells = [found[level].get(row, {}).get(budget) for level in levels]
+        shown = " | ".join("–" if cell is None else told(cell) for cell in cells)
+        lines.append(f"| `{row}` | {shown} |")
+    best = " | ".join(f"{rules[level]:.3f}" for level in levels)
+    return "\n".join([*lines, f"| best local rule | {best} |", ""])
 
 
 def draw(axes: Axes, scenario: str, rows: Rows, rule: float) -> None:
@@ -99,8 +99,12 @@ def main() -> None:
     """Prints the tables and draws the picture."""
     mpl.rcParams["svg.hashsalt"] = "marouting"
     found, rules = trained()
-    print(table(found, rules))
-    shown = [name for name, rows in found.items() if len(rows) > 2]
+    main_ones = {level: found[level] for level in MAIN if level in found}
+    others = {level: rows for level, rows in found.items() if level not in MAIN}
+    for budget in BUDGETS:
+        for levels in (main_ones, others):
+            print(table(levels, rules, budget))
+    shown = [*main_ones, *others]
     lines = -(-len(shown) // 2)
     figure = Figure(figsize=(9.5, 2.6 * lines), layout="constrained")
     panels = figure.subplots(lines, 2, squeeze=False).ravel()
