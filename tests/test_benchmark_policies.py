@@ -258,19 +258,15 @@ def test_contradictions_are_one_line(
 
 
 def test_a_training_ends_with_its_time(capsys: pytest.CaptureFixture[str]) -> None:
-    options = ["train.problems=64", "train.figures=false", "train.seconds=1.5"]
-    words = [
-        "--router",
-        "ppo",
-        "--name",
-        "ppo",
-        "--seeds",
-        "1",
-    ]
-    row = row_of(capsys, *words, *options, split="validation", out="timed")
+    options = ["train.problems=64", "train.figures=false", "train.seconds=1.5", "jobs=1"]
+    words = ["--router", "ppo", "--name", "ppo", "--seeds", "1", "--json"]
+    capsys.readouterr()
+    assert status(["benchmark", "--scenario", GATES, "--split", "validation", *words, *options]) == 0
+    (row,) = json.loads(capsys.readouterr().out)["rows"]
     assert 1.5 <= row["training_seconds"] < 15
     assert 0 < row["agent_steps"] < 1_000_000
-    result = read_result(Path("timed", f"{GATES}.validation.ppo.json"))
+    # A folder of its own: for another scenario the same learner is another router.
+    result = read_result(Path(f"runs/benchmark-{GATES}", f"{GATES}.validation.ppo.json"))
     assert result.budget == "1500000 agent-steps, 1.5 s of training"
     entry = from_text("ppo train.seconds=2.5", None, None, GATES)
     assert entry.options["train"]["seconds"] == 2.5

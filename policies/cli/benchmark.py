@@ -21,6 +21,8 @@ BASELINES = Path("configs/benchmark/baselines.yaml")
 RULES = BASELINES.with_name("rules.yaml")
 """The same in scenarios of docs/cooperation.md."""
 
+OUT = Path("runs/benchmark")
+
 
 @click.command()
 @overrides_argument(keys_of("benchmark"))
@@ -84,9 +86,8 @@ RULES = BASELINES.with_name("rules.yaml")
 @click.option(
     "--out",
     type=FILE,
-    default=Path("runs/benchmark"),
-    show_default=True,
-    help="Folder for the result files and the routers' own files.",
+    help="Folder for the result files and the routers' own files.  [default: runs/benchmark, or "
+    "runs/benchmark-SCENARIO if a learner is trained for the scenario]",
 )
 @click.option(
     "--leaderboard",
@@ -108,7 +109,7 @@ def benchmark(
     training_steps: int | None,
     training_seconds: float | None,
     split: str,
-    out: Path,
+    out: Path | None,
     leaderboard: Path | None,
     as_json: bool,
 ) -> None:
@@ -127,7 +128,7 @@ def benchmark(
 
         if names or routers or config:
             raise InputError("--leaderboard: expected neither --scenario, --router nor --config")
-        written = write_leaderboard(out, leaderboard)
+        written = write_leaderboard(out or OUT, leaderboard)
         if as_json:
             click.echo(json.dumps({"files": [str(path) for path in written]}))
         else:
@@ -184,8 +185,10 @@ def benchmark(
         entries = [
             replace(e, name=name.replace(NAME, e.name), source=e.source + told) for e in entries
         ]
+    trained = any(entry.zero_shot for entry in entries)
+    if out is None:  # a folder holds one router of a name, and this one is for one scenario
+        out = OUT.with_name(f"{OUT.name}-{alone}") if trained else OUT
     for key, most in bounds.items():
-        trained = any(entry.zero_shot for entry in entries)
         what = "a learner to train, and one scenario of docs/cooperation.md"
         check(f"--training-{key}", trained, what)
         told = f" --training-{key} {most}"
