@@ -259,9 +259,9 @@ def test_contradictions_are_one_line(
 
 def test_a_training_ends_with_its_time(capsys: pytest.CaptureFixture[str]) -> None:
     options = ["train.problems=64", "train.figures=false", "train.seconds=1.5", "jobs=1"]
-    words = ["--router", "ppo", "--name", "ppo", "--seeds", "1", "--json"]
+    words = ["--split", "validation", "--router", "ppo", "--name", "ppo", "--seeds", "1", "--json"]
     capsys.readouterr()
-    assert status(["benchmark", "--scenario", GATES, "--split", "validation", *words, *options]) == 0
+    assert status(["benchmark", "--scenario", GATES, *words, *options]) == 0
     (row,) = json.loads(capsys.readouterr().out)["rows"]
     assert 1.5 <= row["training_seconds"] < 15
     assert 0 < row["agent_steps"] < 1_000_000
