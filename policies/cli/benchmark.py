@@ -45,15 +45,15 @@ RULES = BASELINES.with_name("rules.yaml")
 )
 @click.option(
     "--name",
-    help="The router's name in tables; {name} in it stands for the name that it has otherwise, and "
-    "then it may be one for several.  [default: derived from --router, or that in --config]",
+    help="The router's name in tables. {name} in it stands for the default name; with it, one "
+    "--name serves several routers.  [default: derived from --router, or that in --config]",
 )
 @click.option(
     "--config",
     type=FILE,
-    help="YAML file of more routers, by name.  [default: if there is no --router, "
-    "configs/benchmark/baselines.yaml, what does not learn; in scenarios of docs/cooperation.md "
-    "configs/benchmark/rules.yaml, fixed rules]",
+    help="YAML file of more routers, by name.  [default, without --router: "
+    "configs/benchmark/baselines.yaml, routers that do not learn; in scenarios of "
+    "docs/cooperation.md configs/benchmark/rules.yaml, fixed rules]",
 )
 @click.option(
     "--budget",
@@ -65,14 +65,14 @@ RULES = BASELINES.with_name("rules.yaml")
     "--training-steps",
     type=WHOLE,
     metavar="N",
-    help="Agent-steps for which a learner is trained on the training problems of a scenario of "
-    "docs/cooperation.md, before it plays the split.  [default: as the scenario suggests]",
+    help="In a scenario of docs/cooperation.md, how many agent-steps a learner is trained on the "
+    "training problems before it plays the split.  [default: as the scenario suggests]",
 )
 @click.option(
     "--training-seconds",
     type=click.FloatRange(0, min_open=True),
     metavar="S",
-    help="Processor time of such a training.  [default: no bound]",
+    help="Limit of processor time of such a training.  [default: no limit]",
 )
 @click.option(
     "--split",
