@@ -60,7 +60,11 @@ RULES = BASELINES.with_name("rules.yaml")
     help="What a router may spend on a problem: time such as 1s, or tries and episodes such "
     "as 16.  [default: as each router's options say]",
 )
-@click.option("--seeds", type=WHOLE, help="Number of seeds of randomised routers.  [default: 3]")
+@click.option(
+    "--seeds",
+    type=WHOLE,
+    help="Number of seeds of randomised routers.  [default: as --config says, or 3]",
+)
 @click.option(
     "--training-steps",
     type=WHOLE,
