@@ -1,4 +1,4 @@
-"""How good a policy is on the fixed problems of a scenario, in one line.
+"""Scores a policy on the fixed problems of a scenario, in one line.
 
 >>> from marouting import evaluate_policy
 >>> result = evaluate_policy(my_policy, "gates-8x7-v0", split="test")
@@ -23,7 +23,7 @@ from marouting.search.astar import sequential_astar
 from marouting.vector import BatchEnv
 
 _CHECKED = 8
-"""In so many problems it is verified that observations are local: it takes as long as to play."""
+"""Problems in which observations are checked to be local, which takes as long as to play them."""
 
 Policy = Callable[[NDArray[np.float32], NDArray[np.int8]], Any]
 """(B, *S) float32 observations and (B, A) int8 masks of agents to (B,) actions."""
@@ -31,7 +31,7 @@ Policy = Callable[[NDArray[np.float32], NDArray[np.int8]], Any]
 
 @dataclass(frozen=True)
 class ProblemResult:
-    """What a policy made of a problem.
+    """The result of a policy on one problem.
 
     Attributes:
         problem: the name of the problem.
@@ -43,7 +43,7 @@ class ProblemResult:
         cost: the wirelength, and :attr:`marouting.scenarios.Scenario.open_cost` for every task that
             is not connected and every track of overflow.
         reference: overflow and wirelength of the best solution known.
-        score: of the leaderboard, see :mod:`marouting.scenarios.score`.
+        score: the score of the leaderboard, see :mod:`marouting.scenarios.score`.
         gap: wirelength above the reference, in %; None if it has open nets or more overflow.
     """
 
@@ -61,16 +61,16 @@ class ProblemResult:
 
 @dataclass(frozen=True)
 class PolicyResult:
-    """What a policy made of the problems of a split.
+    """The result of a policy on the problems of a split.
 
     Attributes:
         scenario: the name of the scenario.
         split: ``validation`` or ``test``.
         problems: the number of problems.
         cost: of all problems together, divided by that of the references: 1 is as good as they are.
-        score: 1 for the reference; 0 for the best local rule where it is known
-            (:meth:`marouting.scenarios.Scenario.score`), otherwise for A*: then it is that of the
-            leaderboard, the interquartile mean over the problems.
+        score: 1 for the reference. 0 for the best local rule where it is known
+            (:meth:`marouting.scenarios.Scenario.score`). Otherwise 0 for A*; the score is then that
+            of the leaderboard, the interquartile mean over the problems.
         solved: share of the problems in which everything is connected without overflow.
         connected: share of the two-pin tasks that are connected.
         overflow: of all problems together, in tracks.
@@ -79,7 +79,7 @@ class PolicyResult:
             overflow; None if there is none.
         compared: the number of these problems.
         agent_steps: the moves that all agents made.
-        rows: the problems one by one.
+        rows: the results of the problems one by one.
     """
 
     scenario: str
@@ -130,8 +130,8 @@ def evaluate_policy(
             (:mod:`marouting.batch.window`).
         scenario: the name of a scenario.
         split: ``validation`` or ``test``.
-        local: whether to refuse observations that show more than the surroundings of a net, or how
-            far they may show them, in Gcells (:mod:`marouting.batch.locality`).
+        local: with True, observations that are not local are refused; with a number, also those
+            that see further than this many Gcells (:mod:`marouting.batch.locality`).
         threads: among which the games are divided.
         **options: of the environment (:class:`marouting.options.GameOptions`), such as the
             observation and the turn order that the policy is made for. The defaults are what the
@@ -142,7 +142,7 @@ def evaluate_policy(
 
     Raises:
         InputError: there is no such scenario or split, an option cannot be used, or the observation
-            is not local; or the policy returns something else than one action for each agent.
+            is not local; or the policy returns something other than one action for each agent.
     """
     env = play_split(policy, scenario, split, local=local, threads=threads, **options)
     return result_of(env.engine, scenario, split)
@@ -171,7 +171,7 @@ def play_split(
 
 
 def result_of(engine: Engine, scenario: str, split: Split = "test") -> PolicyResult:
-    """What came of the games of a split, each at its end.
+    """The result of the games of a split, which all have ended.
 
     Raises:
         InputError: there is no such scenario or split.
@@ -223,7 +223,7 @@ def play(policy: Policy, env: BatchEnv) -> Mapping[str, Any]:
 
 
 def _row(engine: Engine, m: int, name: str, scenario: str) -> ProblemResult:
-    """What came of problem m."""
+    """The result of problem m."""
     found, problem = get(scenario), engine.problems[m]
     metrics, reference = engine.metrics(m), found.reference(problem)
     figures = Figures.of(evaluate(problem, engine.solution(m)))

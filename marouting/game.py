@@ -22,7 +22,7 @@ parts, between which observations and rewards read the state: :meth:`Game.move` 
     print(game.metrics())
 
 To change a rule, override the method that it is in. :mod:`marouting.batch` plays the same game for
-many problems at once, compiled; ``tests/test_game.py`` holds the two equal.
+many problems at once, compiled; ``tests/test_game.py`` checks that both give the same results.
 """
 
 import copy
@@ -126,7 +126,7 @@ class Game:
             raise InputError("problem: expected a net with pins in two Gcells or more")
         self.overflow_allowed = self.rules.overflow == "allowed"
         self.demand: list[list[int]] = problem.net_demand[self.nets].tolist()  # by layer
-        # What has to be left of an edge for a net to cross it, by layer; of vias there is always.
+        # The capacity that a net needs to cross an edge, by layer; vias always have enough.
         anything = [-UNLIMITED - 1] * self.layers
         self.needed = [anything if self.overflow_allowed else own for own in self.demand]
         if self.overflow_allowed and sum(map(max, self.demand)) > UNLIMITED:
@@ -195,7 +195,7 @@ class Game:
             self._answer(n, rip_up=action == RIP_UP)
             return
         cell = self.cell[n]
-        # To wait is to be blocked by nothing, and so is RIP_UP, since nobody is asked here.
+        # Waiting counts as a blocked move. So does RIP_UP, because the agent is not asked here.
         edge, ahead = (0, OFF_GRID) if action >= MOVES else self.grid.ways[cell][action]
         if ahead == OFF_GRID:
             self.crossing[n] = BLOCKED
@@ -231,7 +231,7 @@ class Game:
             self.status[n] = WAITING if self.rip_up.rounds else self._final_status(n)
 
     def pass_turn(self, n: int) -> None:
-        """After agent n's move the next one's turn comes; in sequential order when n is done."""
+        """Passes the turn from agent n to the next one; in sequential order only when n is done."""
         if self.status[n] != ACTIVE:
             del self.active[self._at]  # now the next one is in its place
         elif not self.sequential and self.crossing[n] != ANSWERED:  # see _rip_up
@@ -290,13 +290,13 @@ class Game:
         return self.remaining[edge] <= 0 < self.capacity[edge]
 
     # --- Tasks ------------------------------------------------------------------------------------
-    # By the paper's rules tasks are begun in the order of the decomposition, at Gcells that earlier
-    # ones have reached. Two options know more of the net: they keep its **tree**, all Gcells that
-    # its edges join to its first pin. It grows when a task ends; then all tasks whose pins are in
-    # it are joined, and are not begun any more. With ``target="tree"`` agents walk from the new
-    # pin; what they see as their target is the Gcell of the tree that was nearest at the beginning.
-    # With ``next_pin="nearest"`` and ``target="pin"`` they start at the Gcell nearest to the pin.
-    # Ties go to the task listed first, and to the Gcell with the lowest number.
+    # By the paper's rules tasks are begun in the order of the decomposition, each at its own start.
+    # Two options use the net's **tree**: all Gcells that its edges join to its first pin. The tree
+    # grows when a task ends; then all tasks whose pins are in it are joined, and those not begun
+    # yet are skipped. With ``target="tree"`` agents walk from the new pin; what they see as their
+    # target is the Gcell of the tree that was nearest at the beginning. With ``next_pin="nearest"``
+    # and ``target="pin"`` they start at the Gcell nearest to the pin. Ties go to the task listed
+    # first, and to the Gcell with the lowest number.
 
     def _begin_net(self, n: int) -> None:
         """An agent whose net uses no edge begins its first task."""
@@ -333,17 +333,17 @@ class Game:
         elif self.rules.release_failed:
             self._set_route(n, self.used[n] - self.taken[n])
         self._grow_tree(n)
-        # Judged as a part of the last move, which is then paid for what becomes of it.
+        # Judged within the last move, so that this move is paid for the outcome.
         if self.ripped and all(map(self._is_rerouted, self.ripped)):
             self._judge()
 
     def _grow_tree(self, n: int) -> None:
-        """Finds all Gcells that a net's edges join to its first pin, and the tasks joined so."""
+        """Finds the Gcells that a net's edges join to its first pin, and the tasks now joined."""
         if not self.keeps_tree:
             return
         first_pin, used, exits_of = self.tasks[n][0][0], self.used[n], self.grid.exits_of
         tree, found = {first_pin}, [first_pin]
-        for cell in found:  # which grows as it is gone through
+        for cell in found:  # a list that grows during the loop
             for _, edge, ahead in exits_of[cell]:
                 if edge in used and ahead not in tree:
                     tree.add(ahead)
@@ -368,11 +368,11 @@ class Game:
         return Status.TRUNCATED.value if self.open_tasks(n) else Status.TERMINATED.value
 
     # --- Rip-up and reroute -----------------------------------------------------------------------
-    # After all nets have routed there are rounds. In a round one net after the other, as ``choose``
-    # says, is ripped up and rerouted with all the others in place, and with it up to ``neighbours``
-    # nets that stand in its way. When all of them have ended their last tasks they are judged: if
-    # the problem now has fewer tasks joined, more overflow or more wirelength (in this order), they
-    # get their old routes back. A round in which no net is ripped up is the last one.
+    # Rounds follow after all nets have routed. In a round the nets that ``choose`` selects are
+    # ripped up one after the other, each together with up to ``neighbours`` nets that stand in its
+    # way, and rerouted around all the others. When their last tasks have ended, the result is
+    # judged: if the problem now has fewer tasks joined, more overflow or more wirelength (in this
+    # order), these nets get their old routes back. A round that rips up no net is the last one.
 
     def _rip_up_next(self) -> None:
         """When no agent is active: the next net is ripped up or asked, or the game is over."""
@@ -401,7 +401,7 @@ class Game:
         return True
 
     def _price(self, n: int) -> tuple[int, int]:
-        """What a net costs: open tasks, then its edges, each the rounds it was full before."""
+        """A net's open tasks, then the rounds in which its edges were full, summed over edges."""
         return self.open_tasks(n), sum(self.history[edge] for edge in self.used[n])
 
     def _is_chosen(self, n: int) -> bool:
@@ -464,7 +464,7 @@ class Game:
                 self._grow_tree(n)
 
     def _score(self) -> tuple[int, int, int]:
-        """What routing is to make small: open tasks, then overflow, then wirelength."""
+        """The objective, to be minimised: open tasks, then overflow, then wirelength."""
         return -self.joined_tasks, self.overflow, self.wirelength
 
     def _full_edges(self) -> NDArray[np.bool_]:
@@ -501,7 +501,7 @@ class Game:
         return Solution(self.problem, routes)
 
     def copy(self) -> "Game":
-        """A game that goes on from here by itself; what never changes is shared."""
+        """An independent copy of the game in its present state; constant parts are shared."""
         twin = copy.copy(self)
         for name in ("remaining", *self.COLUMNS, "active", "queue", "ripped", "history"):
             setattr(twin, name, copy.copy(getattr(self, name)))
@@ -523,7 +523,7 @@ def mask_table(moves: int, messages: int = 1) -> NDArray[np.int8]:
 
 
 def lot(number: int, n: int, other: int) -> int:
-    """A number from 1 to 1024 that follows from a round and two agents, as if it were drawn."""
+    """A pseudo-random number from 1 to 1024 that depends only on a round and two agents."""
     mixed = (number * 0x9E3779B1 ^ n * 0x85EBCA6B ^ other * 0xC2B2AE35) & 0xFFFFFFFF
     for _ in range(2):
         mixed = (mixed ^ mixed >> 16) * 0x45D9F3B & 0xFFFFFFFF

@@ -13,8 +13,8 @@ Optional methods:
   always use the moves of the grid.
 
 An observation whose agents see no further than their surroundings says so by an attribute
-``local_radius``, a whole number from 0; see :func:`local_radius_of`. Decentralised policies are
-compared by such observations, and :func:`marouting.batch.locality.check_local` holds them to it.
+``local_radius``, a whole number from 0; see :func:`local_radius_of`. Comparisons of decentralised
+policies need such observations, and :func:`marouting.batch.locality.check_local` verifies them.
 
 docs/own-pieces.md has a worked example. A simpler form works in the environments, but not in the
 batch or in trainings: instead of ``write``, a method ``see(game, n)`` that returns what agent n of
@@ -195,15 +195,15 @@ def most_demand(problem: Problem) -> float:
 def local_radius_of(observation: Observation) -> int | None:
     """How far the agents of an observation see, in Gcells along x and y, in all layers.
 
-    What an agent may see is its own net (where it is, its pins, its tasks, its route); the Gcells
-    within the radius and the active agents that stand there; and of the edges that touch such a
-    Gcell capacity, remaining capacity and history. Where others are going is not part of it.
+    An agent may see its own net (where it is, its pins, its tasks, its route), the Gcells within
+    the radius and the active agents that stand there, and the capacity, remaining capacity and
+    history of the edges that touch such a Gcell. It may not see where others are going.
 
     Returns:
         The observation's ``local_radius``; None if it has none, and agents may see everything.
 
     Raises:
-        InputError: it is something else than a whole number from 0, or None.
+        InputError: it is neither a whole number from 0 nor None.
     """
     radius: int | None = getattr(observation, "local_radius", None)
     if radius is not None and not (is_whole(radius) and radius >= 0):
@@ -220,12 +220,12 @@ def has_move_order(observation: Observation) -> bool:
 def move_order_of(
     observation: Observation, obs: NDArray[np.float32], actions: int, messages: int = 1
 ) -> NDArray[np.int64]:
-    """The actions on the grid that the actions of an observation are.
+    """The action on the grid for each action in the frame of a mirrored observation.
 
     Args:
         observation: with a method ``move_order``.
         obs: (K, *S) float32, what agents saw.
-        actions: A; what crosses no edge, such as ripping up, stays what it is.
+        actions: A; actions that cross no edge, such as ripping up, stay the same.
         messages: how many messages there are to choose from; see :class:`marouting.rules.Rules`.
 
     Returns:
@@ -233,7 +233,7 @@ def move_order_of(
         ``numpy.take_along_axis(mask, order, -1)`` turns the grid's mask into the observation's.
 
     Raises:
-        InputError: the observation gives something else.
+        InputError: the observation's ``move_order`` gives anything else.
     """
     own: Any = observation
     order = np.asarray(own.move_order(obs))

@@ -15,10 +15,10 @@ Agents = Literal["single", "multi"]
 RenderMode = Literal["ansi", "rgb_array", "human"]
 
 SMALL = GeneratorOptions(nets=10, reduced_edges=0)
-"""The problem of an environment that is given none: 10 nets on 8×8×2.
+"""The default problem of an environment: 10 nets on 8×8×2.
 
-It has no reduced edges. They take a search, and compiling it would double the time that the first
-``env()`` takes on a new machine."""
+It has no reduced edges. Finding those takes a search, and compiling the search would double the
+time that the first ``env()`` takes on a new machine."""
 
 
 PLAYED = ("problem", "scenario", "split")  # the options that say which problems are played, not how
@@ -41,7 +41,7 @@ class GameOptions(Rules):
             draws one; with ``seed: null`` the generator makes a new one. None: a small problem,
             or those of the scenario.
         scenario: the name of a scenario (:mod:`marouting.scenarios`), or ``module:NAME`` for one of
-            your own, instead of ``problem``. It may have defaults of its own for the other options.
+            your own, instead of ``problem``. A scenario may set other defaults for the options.
         split: which of the scenario's problems: ``train``, a new one at every reset;
             ``validation`` or ``test``, a random one of this fixed set at every reset.
         observation: what agents see: the name of a registered observation, ``module:Class``, a
@@ -50,7 +50,7 @@ class GameOptions(Rules):
         reward: what moves pay, given in the same way as ``observation``. See
             :mod:`marouting.rewards`.
         agents_persist: whether agents that are done stay in ``agents`` until all are done. With
-            several problems, ``agents`` is then the same in each, and those that a problem lacks
+            several problems, ``agents`` is then the same in each, and agents that a problem lacks
             are inactive. For libraries that need a fixed set of agents, and for rewards that pay
             agents that are done.
         render_mode: ``ansi``, ``rgb_array``, ``human`` or None.
@@ -95,13 +95,13 @@ class GameOptions(Rules):
 
 
 FORMS = {"observation": ("write", "see", "space"), "reward": ("__call__", "pay")}
-"""The methods of pieces: that by columns, or that for a plain game, and others beside it."""
+"""For each kind of piece: its method for columns, the one for a plain game, and further methods."""
 
 TOLD = (
     "active", "is_success", "joined", "metrics", "net", "open", "overflow", "problem", "steps",
     "task_ended", "task_mask", "task_obs", "tasks", "wirelength",
 )  # fmt: skip
-"""What infos hold beside the mask."""
+"""The keys of infos besides the mask."""
 
 ORDERS: dict[Agents, TurnOrder] = {"single": "sequential", "multi": "round_robin"}
 """The turn order for one agent and for many, if the options give none."""
@@ -120,7 +120,7 @@ class EnvOptions(GameOptions):
 
 
 def with_suggestions(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Options in plain data, with those of their scenario where they say nothing themselves."""
+    """Options as plain data; those that are not given are the scenario's suggestions."""
     scenario = options.get("scenario")
     if isinstance(scenario, str) and (scenario in names() or ":" in scenario):
         return merged(load(scenario).env, options)

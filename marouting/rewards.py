@@ -9,7 +9,7 @@ PettingZoo environments only with ``agents_persist``, because otherwise they hav
 
 If several agents move in one step, their moves are carried out and paid one after the other, in
 turn order. An agent's reward for the step is the sum of what all these moves paid it. In the AEC
-environment, what the moves of others pay an agent accumulates until its turn, as PettingZoo
+environment, what an agent is paid for the moves of others accumulates until its turn, as PettingZoo
 defines. In the Gymnasium environment, one player moves all nets and gets what all of them are paid.
 
 docs/own-pieces.md has a worked example. A reward that pays only the agent that moves has a simpler
@@ -77,12 +77,11 @@ class Reward(Protocol):
 class Share(IntEnum):
     """Rows of :attr:`Prices.shared`."""
 
-    MOVER = 0  #: of overflow, open tasks and wirelength that the move takes off the problem, for
-    #: the net that moves
-    TEAM = 1  #: the same, for every net
-    OTHERS = 2  #: of overflow and failed tasks that the other nets account for, see
-    #: :class:`CounterfactualReward`
-    NEARER = 3  #: of the distance to the target before the move, and after it
+    MOVER = 0  #: paid to the net that moves, for the reduction of overflow, open tasks, wirelength
+    TEAM = 1  #: the same, paid to every net
+    OTHERS = 2  #: paid to each other net, for the overflow and failed tasks that it accounts for,
+    #: see :class:`CounterfactualReward`
+    NEARER = 3  #: paid to the net that moves, for its distance to the target before and after
 
 
 class Prices(NamedTuple):
@@ -114,7 +113,7 @@ class Prices(NamedTuple):
 
 
 class PricedReward(ABC):
-    """A reward that is nothing but prices."""
+    """A reward that its prices define completely."""
 
     @property
     @abstractmethod
@@ -183,7 +182,7 @@ class PaperReward(PricedReward):
 class NormalisedReward(PaperReward):
     """The paper's reward in numbers of order 1: +1 for reaching the target pin, −0.01 otherwise.
 
-    Learners whose settings expect such numbers, as those of most libraries do, need it.
+    The default settings of most libraries' learners expect rewards of this size.
     """
 
     reached: float = 1.0
@@ -213,9 +212,9 @@ class CostReward(PricedReward):
 class TeamReward(CostReward):
     """Pays every net by how much a move reduces the cost of the problem.
 
-    Every net gets the whole reduction of the cost over the episode, as long as it can be paid:
-    those that are done are paid for the moves of the others too. In PettingZoo's interfaces an
-    agent that is done leaves and is paid no more, unless ``agents_persist`` is on.
+    Over the episode every net is paid the whole reduction of the cost: a net that is done is still
+    paid for the moves of the others. But in PettingZoo's interfaces an agent that is done leaves
+    and is paid no more, unless ``agents_persist`` is on.
     """
 
     @property
@@ -247,11 +246,11 @@ class CounterfactualReward(CostReward):
     everything else is as it is:
 
     * the edges that net i uses, and its open tasks;
-    * the overflow that goes if it gives its edges back. Two nets that overflow an edge by one track
-      account for it both;
+    * the overflow that would disappear without its edges. If two nets overflow an edge by one
+      track, each of them accounts for it;
     * every task of another net that failed while net i alone was in its way: with the capacity that
-      was left then, no path led from that agent to its target, but one does if net i's edges are
-      free.
+      was left then, no path led from that agent to its target, but with net i's edges released one
+      did.
 
     Every move pays each net the decrease of the cost that it accounts for, so that its rewards add
     up to the cost of its open tasks at the beginning minus the cost that it accounts for in the
@@ -334,7 +333,7 @@ class MixedReward:
 def prices_of(reward: Reward) -> Prices | None:
     """The prices of a built-in reward, or of a mixture of them; None for any other.
 
-    Subclasses may do anything.
+    A subclass of a built-in reward gives None, because it may pay anything.
     """
     if isinstance(reward, PricedReward) and type(reward) in _BUILT_IN.values():
         return reward.prices
@@ -407,7 +406,7 @@ def _pay_others(
 
 
 def _due(remaining: NDArray[np.integer], demand: NDArray[np.integer]) -> NDArray[np.integer]:
-    """The overflow of edges that would go if a net gave them back."""
+    """The overflow that would disappear if a net released edges."""
     return np.maximum(-remaining, 0) - np.maximum(-remaining - demand, 0)
 
 

@@ -69,9 +69,10 @@ class RipUp:
     Attributes:
         rounds: the number of rounds. Agents stay until the last one is over.
         choose: the nets that a round rips up: ``all``; ``conflicts``, those with unconnected tasks
-            or on full edges; ``history``, those on edges that are or were full in earlier rounds,
-            most often first; or ``agents``, those whose agents choose action 6.
-        neighbours: how many of the nets in its way are ripped up together with each net, at most.
+            or on full edges; ``history``, those with unconnected tasks, or on edges that are full
+            or were at the start of an earlier round, the worst first; or ``agents``, those whose
+            agents choose action 6.
+        neighbours: at most this many of the nets in a net's way are ripped up together with it.
     """
 
     rounds: int = 1
@@ -103,10 +104,10 @@ class Rules:
         nets: the nets' order and decomposition, a :class:`Nets` or a mapping of its fields.
         mask: the action mask, a :class:`Mask` or a mapping of its fields.
         rip_up: rip-up and reroute, a :class:`RipUp` or a mapping of its fields; None: off.
-        wait: whether there is one more move, the last one: the agent stays where it is. It counts
+        wait: whether there is one more move, numbered last: the agent stays where it is. It counts
             as a step.
         message_bits: bits of the message that an agent writes with every action, 0 to 8. An action
-            is then ``move + moves * message``, for so many ``moves`` without messages.
+            is then ``move + moves * message``, where ``moves`` is the number of moves.
     """
 
     turn_order: TurnOrder | None = None

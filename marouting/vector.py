@@ -1,7 +1,7 @@
 """Many problems at once, in arrays, for learners.
 
-In every step every net of every problem moves, or only the one whose turn it is. For the interface
-of Gymnasium's own vectors to the latter, use ``gymnasium.make_vec`` (:mod:`marouting.gym_vector`).
+In a step all nets of every problem move, or only the one whose turn it is. For the second form with
+the interface of Gymnasium's vectors, use ``gymnasium.make_vec`` (:mod:`marouting.gym_vector`).
 """
 
 import os
@@ -39,11 +39,11 @@ _ON_CUDA = "marouting.cuda.env:CudaBatchEnv"
 class BatchEnv(EzPickle):
     """M problems of one grid shape, played side by side.
 
-    Each problem has K rows: all its N agents, or, with ``everyone=False``, only the agent whose
-    turn it is (K = 1), whose reward is then what a move pays all agents. Problems with fewer agents
-    than the largest one are padded; ``present`` tells which agents exist. The arrays that
-    :meth:`reset`, :meth:`step` and :meth:`state` return belong to the environment and are
-    overwritten by the next call, so copy what you want to keep.
+    Each problem has K rows, one for each of its N agents. With ``everyone=False`` it has one row
+    (K = 1), for the agent whose turn it is; the reward is then the sum of what a move pays all
+    agents. Problems with fewer agents than the largest one are padded; ``present`` tells which
+    agents exist. The arrays that :meth:`reset`, :meth:`step` and :meth:`state` return belong to the
+    environment and are overwritten by the next call, so copy what you want to keep.
 
     The rows of agents that are done stay, and are paid until the problem's episode is over. With
     ``agents_persist`` they are terminated or truncated only then, all together, and their masks
@@ -65,9 +65,9 @@ class BatchEnv(EzPickle):
         problems: fixed problems, all with the same grid shape. Or a number M of games, each of
             which draws a problem for every episode, from ``problem`` or the scenario. None: all
             problems of a scenario's split ``validation`` or ``test``, fixed.
-        problem: what M games draw from: one problem, several of which one is drawn for every
-            episode, or a generator with ``seed=None``, which makes a new one; see
-            :data:`marouting.source.Source`.
+        problem: what M games draw their problems from: one problem, several problems of which
+            every episode draws one, or a generator with ``seed=None``, which makes a new one for
+            every episode; see :data:`marouting.source.Source`.
         everyone: whether all agents have a row and move in every step.
         autoreset: whether the next episode starts when one is over.
         play_once: whether each of a list of problems, or of the problems of a split, is played only
@@ -91,7 +91,7 @@ class BatchEnv(EzPickle):
         single_observation_space: the space of one agent's observation, of shape S.
         single_action_space: the space of one agent's actions.
         single_state_space: the space of one problem's global state; see :meth:`state`.
-        engine: the engine, to be read.
+        engine: the engine; read it, but do not change it.
 
     Raises:
         InputError: the problems do not fit together, or an option is out of range.
@@ -100,7 +100,7 @@ class BatchEnv(EzPickle):
     _draws_of: ClassVar[type[ProblemSampler]] = ProblemSampler
 
     def __new__(cls, *_: Any, device: str = "cpu", **__: Any) -> "BatchEnv":
-        """On another device it is a :class:`marouting.cuda.env.CudaBatchEnv`."""
+        """Makes a :class:`marouting.cuda.env.CudaBatchEnv` for another device."""
         if cls is BatchEnv and device != "cpu":
             kind = pkgutil.resolve_name(_ON_CUDA)
             return cast(BatchEnv, super().__new__(kind))

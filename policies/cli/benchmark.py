@@ -47,34 +47,38 @@ OUT = Path("runs/benchmark")
 )
 @click.option(
     "--name",
-    help="The router's name in tables; {name} in it stands for the name that it has otherwise, and "
-    "then it may be one for several.  [default: derived from --router, or that in --config]",
+    help="The router's name in tables. {name} in it stands for the default name; with it, one "
+    "--name serves several routers.  [default: derived from --router, or that in --config]",
 )
 @click.option(
     "--config",
     type=FILE,
-    help="YAML file of more routers, by name.  [default: if there is no --router, "
-    "configs/benchmark/baselines.yaml, what does not learn; in scenarios of docs/cooperation.md "
-    "configs/benchmark/rules.yaml, fixed rules]",
+    help="YAML file of more routers, by name.  [default, without --router: "
+    "configs/benchmark/baselines.yaml, routers that do not learn; in scenarios of "
+    "docs/cooperation.md configs/benchmark/rules.yaml, fixed rules]",
 )
 @click.option(
     "--budget",
     help="What a router may spend on a problem: time such as 1s, or tries and episodes such "
     "as 16.  [default: as each router's options say]",
 )
-@click.option("--seeds", type=WHOLE, help="Number of seeds of randomised routers.  [default: 3]")
+@click.option(
+    "--seeds",
+    type=WHOLE,
+    help="Number of seeds of randomised routers.  [default: as --config says, or 3]",
+)
 @click.option(
     "--training-steps",
     type=WHOLE,
     metavar="N",
-    help="Agent-steps for which a learner is trained on the training problems of a scenario of "
-    "docs/cooperation.md, before it plays the split.  [default: as the scenario suggests]",
+    help="In a scenario of docs/cooperation.md, how many agent-steps a learner is trained on the "
+    "training problems before it plays the split.  [default: as the scenario suggests]",
 )
 @click.option(
     "--training-seconds",
     type=click.FloatRange(0, min_open=True),
     metavar="S",
-    help="Processor time of such a training.  [default: no bound]",
+    help="Limit of processor time of such a training.  [default: no limit]",
 )
 @click.option(
     "--split",

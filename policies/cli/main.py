@@ -230,7 +230,7 @@ def route(
     (seconds) for optimal. A learner uses the policy of --checkpoint; without one it is trained on
     the problem, as in the paper, and its options are the keys of a training's configuration, such
     as train.episodes=200. Overflow and wirelength are given with and without (pruned) dead ends
-    and loops, which --prune removes. The seconds, by the clock and of processor time, exclude
+    and loops, which --prune removes. The seconds, of wall time and of processor time, exclude
     compiling, loading and files.
     """
     from policies.cli.progress import waiting
@@ -355,10 +355,10 @@ def evaluate_command(
     """Evaluate a solution file by the rules of the ISPD 2008 contest's evaluator.
 
     Overflow and wirelength are given with and without (pruned) dead ends and loops. A routing guide
-    is evaluated by the shortest routes inside it. A file .guide is checked too: boxes off the grid
-    of Gcells, pins that it does not cover, nets whose boxes are in several parts. Problems of the
-    ISPD 2024 contest also get the contest's cost. A pin with shapes in several Gcells may be
-    reached in any of them.
+    is evaluated by the shortest routes inside it. A .guide file is also checked for boxes off the
+    grid of Gcells, pins that it does not cover, and nets whose boxes are not all connected.
+    Problems of the ISPD 2024 contest also get the contest's cost. A pin with shapes in several
+    Gcells may be reached in any of them.
 
     A report has wires and vias by layer, the edges with the most overflow and the nets on them,
     each net's detour over the shortest tree, a histogram of edge use, and the open nets.
@@ -443,7 +443,7 @@ def train(
 
     Without CONFIG every key has its default. KEY=VALUE changes a key, such as train.episodes=200
     or learner.kind=ppo; the kinds are dqn, ppo, iql, ippo, mappo, imitation and module:Class, and
-    each takes its own defaults. env.scenario=toy-4x4-v0 trains one network on problems drawn from
+    each has its own defaults. env.scenario=toy-4x4-v0 trains one network on problems drawn from
     the scenario's training split, and evaluates it on the validation problems. Everything is
     written to the run folder, the key `out`. --resume DIR train.episodes=N gives a run more
     episodes, finished or not.

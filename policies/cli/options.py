@@ -60,6 +60,7 @@ def options_of(schema: Any, but: Collection[str] = ()) -> Callable[[Any], Any]:
             if own.name not in but:
                 told = about[own.name].replace("`", "")
                 if own.default is None:
+                    told = told.replace(". None: ", ". Without it, ")
                     told = told.replace("None: ", "without it, ")
                 command = click.option(
                     f"--{own.name.replace('_', '-')}",
