@@ -200,7 +200,7 @@ def test_what_the_user_says_is_code_that_may_run(
 
 
 def test_processes_of_an_experiment_may_what_the_command_may(here: Path) -> None:
-    config = yaml_text({**read_yaml("g.yaml"), "out": "h", "jobs": 2})
+    config = yaml_text({**read_yaml("g.yaml"), "out": "h"})
     policy = {"router": "dqn", "checkpoint": "reward.pt"}
     Path("h.yaml").write_text(config)
     words = ["experiment", "h.yaml", f"routers.b={json.dumps(policy)}", "--allow-code"]

@@ -119,7 +119,7 @@ def test_seconds_are_those_of_routing(slow: str, capsys: pytest.CaptureFixture[s
     assert json.loads(capsys.readouterr().out)["seconds"] < 0.25
 
 
-@pytest.mark.usefixtures("here")
+@pytest.mark.usefixtures("here", "at_once")
 def test_seconds_of_an_experiment_are_those_of_routing(slow: str, tmp_path: Path) -> None:
     changes = [f"routers.slow.router={slow}", f"out={tmp_path / 'out'}"]
     Experiment(load_experiment("e.yaml", changes)).execute()

@@ -733,7 +733,7 @@ def test_rows_that_are_none(finished: Path, here: Path, refused: Callable[..., s
 
 def test_an_error_at_work_is_one_line(here: Path, refused: Callable[..., str]) -> None:
     routers = {"walk": {"router": "random", "max_steps": 0}, **ASTAR}
-    config = write_config(here / "c.yaml", routers=routers)
+    config = write_config(here / "c.yaml", routers=routers, jobs=1)
     assert "small, walk.seed0: max_steps: expected 1 to" in refused("experiment", config)
     assert not (here / "out" / "results.json").exists()
 
@@ -1095,7 +1095,8 @@ def test_own_routers_stand_in_an_experiment(
         "named": {"router": "elsewhere-of-this-test"},
     }
     problems = {"s": {**SMALL, "nets": 9}}
-    config = write_config(here / "c.yaml", routers=routers, problems=problems, seeds=[0, 3])
+    sets = {"problems": problems, "seeds": [0, 3], "jobs": 1}
+    config = write_config(here / "c.yaml", routers=routers, **sets)
     assert status(["experiment", str(config), "--allow-code"]) == 0
     kept = yaml.safe_load((here / "out" / "config.yaml").read_text())["routers"]
     assert kept["mine"] == {
