@@ -1,6 +1,6 @@
 """Compiled code that finds a tree for one net, inside a box of the grid.
 
-Points are the Gcells of the box, numbered as in :class:`marouting.trees.steiner.Lattice`. All
+Points are the Gcells of the box, numbered as in :class:`marouting.trees.lattice.Lattice`. All
 costs are in the units of :data:`~policies.routers.pathfinder.state.UNIT`.
 """
 
@@ -57,9 +57,9 @@ def via_cost(problem: ProblemArrays, gcell: int) -> int:
 
 
 @compiled
-def wire_cost(problem: ProblemArrays, routing: Routing, edge: int) -> int:
+def wire_cost(problem: ProblemArrays, edge: int) -> int:
     """The length of an edge inside a layer."""
-    if not routing.progress[0].contest:
+    if not problem.contest:
         return i64(UNIT)
     gcell = edge // AXES
     axis = edge - AXES * gcell
@@ -73,12 +73,11 @@ def use_cost(problem: ProblemArrays, routing: Routing, edge: int, more: int) -> 
     By the rules of ISPD 2024 the overflow that it causes (:mod:`marouting.problem.contest`);
     otherwise a parabola, which begins where the edge begins to be crowded.
     """
-    progress = routing.progress[0]
-    if progress.crowding == 0:
+    if problem.crowding == 0:
         return i64(0)
     capacity = problem.capacity[edge]
     used = capacity - routing.remaining[edge] + more / 2
-    if progress.contest:
+    if problem.contest:
         gcell = edge // AXES
         tracks, used = problem.tracks[edge], used + routing.vias[edge]
         over = used - tracks if tracks > 0 else 2 * WITHOUT * used
@@ -86,10 +85,10 @@ def use_cost(problem: ProblemArrays, routing: Routing, edge: int, more: int) -> 
             return i64(0)
         cost = problem.overflow_cost[problem.position[gcell, VIA_AXIS]]
         return i64(cost * np.exp(min(SLOPE * over, _STEEPEST)))
-    free = progress.crowded_from * capacity
+    free = problem.crowded_from * capacity
     if capacity <= 0 or used <= free:
         return i64(0)
-    return i64(progress.crowding * UNIT / 2 * (used - free) ** 2 / (capacity - free))
+    return i64(problem.crowding * UNIT / 2 * (used - free) ** 2 / (capacity - free))
 
 
 @compiled
@@ -100,11 +99,11 @@ def edge_cost(problem: ProblemArrays, routing: Routing, edge: int, demand: int, 
     edge at all costs.
     """
     kind, length = routing.progress[0].kind, i64(UNIT)
-    if routing.progress[0].crowding > 0:
-        length = wire_cost(problem, routing, edge)
+    if problem.crowding > 0:
+        length = wire_cost(problem, edge)
         more = use_cost(problem, routing, edge, 2 * (demand - own))
         length += min(more - use_cost(problem, routing, edge, -2 * own), i64(FULL // 2))
-        if routing.progress[0].contest:  # only by controls nets take more than a track
+        if problem.contest:  # only by controls nets take more than a track
             return length + (FULL if demand > 1 else 0)
     over = demand - own - routing.remaining[edge]
     if kind >= SQUEEZE:
@@ -122,23 +121,22 @@ def tree_cost(
     routing: Routing,
     net: int,
     edges: Any,
-    row: int,
     first: int,
     last: int,
     own: int,
 ) -> int:
-    """The present cost of a tree, ``edges[row, first:last]``, to a net.
+    """The present cost of a tree, ``edges[first:last]``, to a net.
 
     ``own`` is 1 if it is the net's tree at the moment, 0 if the net is ripped up.
     """
     cost = i64(0)
     own = i64(own)
     for i in range(first, last):
-        edge = i64(edges[row, i])
+        edge = i64(edges[i])
         gcell = edge // AXES
         if edge - AXES * gcell == VIA_AXIS:
             cost += via_cost(problem, gcell)
-            if routing.progress[0].contest and is_stacked(problem, edges, row, first, last, gcell):
+            if problem.contest and is_stacked(problem, edges, first, last, gcell):
                 for side in range(2):
                     beside, halves = beside_via(problem, gcell, side)
                     if halves > 0:
@@ -168,20 +166,18 @@ def beside_via(problem: ProblemArrays, gcell: int, side: int) -> tuple[int, int]
 
 
 @compiled
-def is_stacked(
-    problem: ProblemArrays, edges: Any, row: int, first: int, last: int, gcell: int
-) -> bool:
+def is_stacked(problem: ProblemArrays, edges: Any, first: int, last: int, gcell: int) -> bool:
     """Whether no wire of a tree ends in or passes through a Gcell, along the Gcell's layer."""
     for side in range(2):
         beside, halves = beside_via(problem, gcell, side)
         low, high = i64(first), i64(last)
         while low < high:  # edges are in order
             middle = (low + high) // 2
-            if edges[row, middle] < beside:
+            if edges[middle] < beside:
                 low = middle + 1
             else:
                 high = middle
-        if halves > 0 and low < last and edges[row, low] == beside:
+        if halves > 0 and low < last and edges[low] == beside:
             return False
     return True
 
@@ -234,7 +230,7 @@ def set_box(
             at = i64(problem.position[problem.pin[i], axis])
             least, most = min(least, at), max(most, at)
         for i in range(routing.start[net], routing.start[net] + routing.length[net]):
-            edge = i64(routing.edge[routing.progress[0].pool, i])
+            edge = i64(routing.edge[i])
             at = i64(problem.position[edge // AXES, axis])
             least, most = min(least, at), max(most, at)
             if edge % AXES == axis:
@@ -308,7 +304,7 @@ def set_costs(
                 point += 1
     first = i64(routing.start[net])
     for i in range(first, first + routing.length[net]):
-        edge = i64(routing.edge[routing.progress[0].pool, i])
+        edge = i64(routing.edge[i])
         gcell = edge // AXES
         axis = edge - AXES * gcell
         if axis == VIA_AXIS:
@@ -319,7 +315,7 @@ def set_costs(
             at = problem.position[gcell, axis] - low[axis] + 1
             lattice.line[axis, at] = min(lattice.line[axis, at], cost)
             set_cost(lattice, point_of(problem.position, low, lattice.size, gcell), axis, cost)
-    if routing.progress[0].contest:
+    if problem.contest:
         _add_stacks(problem, lattice, low)
     sum_lines(lattice)
 
@@ -512,7 +508,7 @@ def load_tree(
     """
     is_open = True
     for i in range(routing.start[net], routing.start[net] + routing.length[net]):
-        edge = i64(routing.edge[routing.progress[0].pool, i])
+        edge = i64(routing.edge[i])
         gcell = edge // AXES
         move = 2 * (edge - AXES * gcell)
         point = point_of(problem.position, low, lattice.size, gcell)

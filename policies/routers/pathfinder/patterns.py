@@ -140,7 +140,7 @@ def route_pattern(
     if points > len(buffers.pin):
         progress.need = points
         return BOX_TOO_SMALL
-    if progress.top + points > routing.edge.shape[1]:
+    if progress.top + points > len(routing.edge):
         progress.need = progress.top + points
         return POOL_TOO_SMALL
     set_size(lattice, lattice.size[0], lattice.size[1], lattice.size[2])
@@ -166,7 +166,7 @@ def route_pattern(
     for i in range(size):
         buffers.inside[buffers.key[i]] = 0
     size = list_tree(problem, lattice, buffers)
-    store_tree(routing, net, buffers.tree, i64(0), i64(0), size)
+    store_tree(routing, net, buffers.tree, i64(0), size)
     use_tree(problem, routing, net, i64(1))
     progress.routed += 1
     return DONE
