@@ -7,7 +7,7 @@ depend on the number of threads.
 """
 
 import time
-from collections import deque
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.kernels import compiled, i64
-from marouting.problem.grid import AXES
 from policies.routers.pathfinder.kernels import draw, set_box
 from policies.routers.pathfinder.state import (
     BOX_TOO_SMALL,
@@ -66,8 +65,6 @@ class Batch(NamedTuple):
     worker: NDArray[np.int64]  # (most,) the worker that made the plan
     first: NDArray[np.int64]  # (most,) where the new tree begins among its edges
     last: NDArray[np.int64]  # (most,) and where it ends
-    low: NDArray[np.int64]  # (3,) a box; working memory, like the next
-    size: NDArray[np.int64]  # (3,)
 
 
 def make_batch(nets: int) -> Batch:
@@ -80,13 +77,11 @@ def make_batch(nets: int) -> Batch:
         worker=np.empty(most, np.int64),
         first=np.empty(most, np.int64),
         last=np.empty(most, np.int64),
-        low=np.zeros(AXES, np.int64),
-        size=np.zeros(AXES, np.int64),
     )
 
 
 @compiled
-def _gather(problem: ProblemArrays, routing: Routing, batch: Batch) -> int:
+def _gather(problem: ProblemArrays, routing: Routing, memory: Memory, batch: Batch) -> int:
     """Puts the next nets of the pass into a batch; returns how many there are.
 
     Where nets negotiate, a net whose edges would not overflow without those that are in the batch
@@ -105,7 +100,7 @@ def _gather(problem: ProblemArrays, routing: Routing, batch: Batch) -> int:
             continue
         batch.net[count], batch.random[count] = net, draw(progress)
         margin, layers = problem.margin, i64(LAYERS)
-        points += set_box(problem, routing, net, margin, layers, batch.low, batch.size)
+        points += set_box(problem, routing, memory, net, margin, layers)
         if negotiated:
             use_tree(problem, routing, net, i64(-1))
             order[progress.next - 1], order[begin + count] = order[begin + count], net
@@ -186,22 +181,17 @@ class Worker:
         """Makes the working memory large enough for boxes of so many points."""
         self.memory = make_memory(self._problem, points)
 
-    def work(self, routing: Routing, batch: Batch, parts: deque[range]) -> None:
-        """Plans one part of a batch after another, until none is left."""
+    def work(self, routing: Routing, batch: Batch, parts: Iterator[range]) -> None:
+        """Plans one part of a batch after another; all workers share the iterator."""
         began = time.thread_time()
         self.progress[:] = routing.progress
         own, progress = routing._replace(progress=self.progress), self.progress[0]
         progress["top"] = 0
-        while True:
-            try:
-                part = parts.popleft()
-            except IndexError:
-                break
+        for part in parts:
             progress["next"], code = part.start, BOX_TOO_SMALL
             while code != DONE:
-                code = _plan_some(
-                    self._problem, own, self.memory, batch, self.edges, self._number, part.stop
-                )
+                known = self._problem, own, self.memory, batch, self.edges
+                code = _plan_some(*known, self._number, part.stop)
                 if code == BOX_TOO_SMALL:
                     self.make_room(2 * int(progress["need"]))
                 elif code == POOL_TOO_SMALL:
@@ -223,22 +213,20 @@ def advance_batch(
     Returns:
         The routing, with a larger pool if it needed one.
     """
-    end = _gather(problem, routing, batch)
     first, *others = workers
+    end = _gather(problem, routing, first.memory, batch)
     count = _PARTS * len(workers) if others else 1
     size = max(-(-end // count), 1)
-    parts = deque(range(i, min(i + size, end)) for i in range(0, end, size))
-    if others:
-        with ThreadPoolExecutor(len(others)) as threads:
-            waiting = [threads.submit(other.work, routing, batch, parts) for other in others]
-            first.work(routing, batch, parts)
-        for each in waiting:
-            each.result()
-    else:
+    # An iterator over a list gives each part to one thread; a generator could not be shared.
+    parts = iter([range(i, min(i + size, end)) for i in range(0, end, size)])
+    with ThreadPoolExecutor(len(workers)) as threads:
+        waiting = [threads.submit(other.work, routing, batch, parts) for other in others]
         first.work(routing, batch, parts)
-    tops = [int(worker.progress["top"][0]) for worker in workers]
+    for each in waiting:
+        each.result()
+    tops = np.array([worker.progress["top"][0] for worker in workers], np.int64)
     edges = np.concatenate([worker.edges[:top] for worker, top in zip(workers, tops, strict=True)])
-    begin = (np.cumsum(tops) - tops)[batch.worker[:end]]
+    begin = (tops.cumsum() - tops)[batch.worker[:end]]
     batch.first[:end] += begin
     batch.last[:end] += begin
     planned = 0

@@ -30,8 +30,7 @@ def go_on(problem: ProblemArrays, routing: Routing, memory: Memory) -> int:
         BOX_TOO_SMALL or POOL_TOO_SMALL if ``memory`` or the pools of ``routing`` have to be
         replaced by larger ones, for ``routing.progress["need"]`` points or edges.
     """
-    lattice, search, buffers = memory
-    progress = routing.progress[0]
+    search, progress = memory.search, routing.progress[0]
     if progress.kind == REPAIR and progress.next == 0:
         begin_pass(problem, routing)
     while progress.next < len(routing.order):
@@ -39,7 +38,7 @@ def go_on(problem: ProblemArrays, routing: Routing, memory: Memory) -> int:
             return PAUSED
         net, code, routed = routing.order[progress.next], DONE, i64(1)
         if progress.kind == PATTERN:
-            code = route_pattern(problem, routing, lattice, buffers, net)
+            code = route_pattern(problem, routing, memory, net)
             search.tally[1] += _PATTERN_WORK
         elif progress.kind == REPAIR:
             routed, code = repair(problem, routing, memory)

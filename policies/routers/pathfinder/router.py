@@ -152,7 +152,7 @@ class _Stages:
     def _relax(self, prices: int) -> Iterator[int]:
         """Reroutes every net: once, or so many times at new prices of the linear program."""
         search = self._search
-        search.begin_round()
+        search.forget_overflow()
         first = self._rounds == 0
         for _ in range(max(prices, 1)):
             if prices > 0 and search.best_rank[0] > 0 and search.relaxation is not None:

@@ -29,7 +29,6 @@ from policies.routers.pathfinder.state import (
     SQUEEZE,
     UNIT,
     make_arrays,
-    present_solution,
     solution_of,
     with_larger_pool,
     with_trees,
@@ -41,6 +40,9 @@ PRICES = -2
 
 _LARGE = 5_000
 """With more nets than these, negotiating begins with patterns; otherwise with shortest trees."""
+
+_NOTHING = (1 << 62, 0)
+"""A rank that any solution is better than."""
 
 _LABELS = 5_000_000
 """Labels that a search opens in a second, about."""
@@ -135,10 +137,9 @@ class Search:
         self._begin_repairing = specialised(begin_repairing, self._arrays, self.routing)
         self.options = options
         self.history: list[Pass] = []
-        self.rank: tuple[int, int] = (0, 0)
-        self.best_rank: tuple[float, float] = (np.inf, np.inf)
+        self.rank, self.best_rank = (0, 0), _NOTHING
         self.found, self._proven = 0, nets == 0
-        self.begin_round()
+        self.forget_overflow()
         self._set_work(self._left())
 
     def best(self) -> Solution:
@@ -148,14 +149,15 @@ class Search:
         have found in the middle could be lost with more time, and more time must not be worse than
         less.
         """
-        routing = self.routing
         now = self.progress["overflow"], self.progress["length"]
         if self.progress["kind"] in (SQUEEZE, REPAIR) and now < self.best_rank:
-            return present_solution(self._problem, routing)
-        first = routing.best_first
-        return solution_of(self._problem, routing.best, first[:-1], np.diff(first))
+            edges, first, length = self.routing.edge, self.routing.start, self.routing.length
+        else:
+            edges, first = self.routing.best, self.routing.best_first[:-1]
+            length = np.diff(self.routing.best_first)
+        return solution_of(self._problem, edges, first, length)
 
-    def begin_round(self) -> None:
+    def forget_overflow(self) -> None:
         """Forgets how much overflow there was."""
         self._fewest, self.stuck = np.inf, 0
 
@@ -179,44 +181,31 @@ class Search:
         """Carries out a pass, or sets prices; returns why the search ends meanwhile, if it does."""
         if self.relaxation is not None and stage != PATTERN:
             self.relaxation.collect(self.routing)
-        stop = self._set_prices() if stage == PRICES else self._make_pass(stage)
-        if stop is None and stage != PRICES:
-            self._end_pass(stage)
-        return stop
-
-    def _set_prices(self) -> Stop | None:
-        """Lets the linear program set prices."""
-        assert self.relaxation is not None
-        while not self.relaxation.advance(self.routing, self._labels):
+        if stage != PRICES:
+            self.progress["kind"], self.progress["routed"] = stage, 0
+        while not self._advance(stage):
             stop = self._look()
             if stop is not None:
                 return stop
+        if stage != PRICES:
+            self._end_pass(stage)
         return None
 
-    def _make_pass(self, kind: int) -> Stop | None:
-        """Routes the nets of a pass."""
-        progress, arrays, first = self.progress, self._arrays, self._workers[0]
-        progress["kind"], progress["routed"] = kind, 0
-        if self._batch is not None and kind <= SQUEEZE:
-            while progress["next"] < len(self.routing.order):
-                self.routing = advance_batch(arrays, self.routing, self._batch, self._workers)
-                longest = max(worker.seconds for worker in self._workers)
-                self._began -= longest - first.seconds
-                stop = self._look()
-                if stop is not None:
-                    return stop
-            return None
-        while True:
-            code = self._go_on(arrays, self.routing, first.memory)
-            if code == DONE:
-                return None
-            if code == BOX_TOO_SMALL:
-                first.make_room(2 * int(progress["need"]))
-            elif code == POOL_TOO_SMALL:
-                self.routing = with_larger_pool(self.routing, 2 * int(progress["need"]))
-            stop = self._look()
-            if stop is not None:
-                return stop
+    def _advance(self, stage: int) -> bool:
+        """Carries a stage on for a while; returns whether it is over."""
+        first, progress = self._workers[0], self.progress
+        if stage == PRICES and self.relaxation is not None:
+            return self.relaxation.advance(self.routing, self._labels)
+        if self._batch is not None and stage <= SQUEEZE:
+            self.routing = advance_batch(self._arrays, self.routing, self._batch, self._workers)
+            self._began -= max(worker.seconds for worker in self._workers) - first.seconds
+            return bool(progress["next"] == len(self.routing.order))
+        code = self._go_on(self._arrays, self.routing, first.memory)
+        if code == BOX_TOO_SMALL:
+            first.make_room(2 * int(progress["need"]))
+        elif code == POOL_TOO_SMALL:
+            self.routing = with_larger_pool(self.routing, 2 * int(progress["need"]))
+        return bool(code == DONE)
 
     def _end_pass(self, kind: int) -> None:
         """Notes what came of a pass."""

@@ -237,11 +237,6 @@ def make_memory(problem: ProblemArrays, points: int) -> Memory:
     return Memory(lattice, search, buffers)
 
 
-def present_solution(problem: Problem, routing: Routing) -> Solution:
-    """The trees that the nets have now."""
-    return solution_of(problem, routing.edge, routing.start, routing.length)
-
-
 def solution_of(
     problem: Problem,
     edges: NDArray[np.int32],

@@ -141,6 +141,19 @@ def overflows(routing: Routing, net: int) -> bool:
 
 
 @compiled
+def _copy_trees(routing: Routing, edges: Any, first: Any) -> int:
+    """Copies all trees to ``edges``, without gaps, from ``first`` on; returns their edges."""
+    size = i64(0)
+    for net in range(len(routing.start)):
+        begin = routing.start[net]
+        first[net] = size
+        for i in range(routing.length[net]):
+            edges[size + i] = routing.edge[begin + i]
+        size += routing.length[net]
+    return size
+
+
+@compiled
 def compact(routing: Routing) -> bool:
     """Closes the gaps between the trees; returns whether there were any."""
     progress = routing.progress[0]
@@ -150,12 +163,7 @@ def compact(routing: Routing) -> bool:
     if used == progress.top:
         return False
     edges = routing.after  # is made anew at the end
-    progress.top = 0
-    for net in range(len(routing.start)):
-        for i in range(routing.length[net]):
-            edges[progress.top + i] = routing.edge[routing.start[net] + i]
-        routing.start[net] = progress.top
-        progress.top += routing.length[net]
+    progress.top = _copy_trees(routing, edges, routing.start)
     for i in range(progress.top):
         routing.edge[i] = edges[i]
     if progress.linked:
@@ -229,31 +237,31 @@ def plan(problem: ProblemArrays, routing: Routing, memory: Memory, net: int) -> 
     pins = problem.first[net + 1] - problem.first[net]
     margin, layers, limit = problem.margin, i64(LAYERS), i64(FULL)
     while True:
-        points = set_box(problem, routing, net, margin, layers, buffers.low, lattice.size)
+        points = set_box(problem, routing, memory, net, margin, layers)
         if points > len(buffers.pin):
             progress.need = points
             return i64(BOX_TOO_SMALL), False
-        set_costs(problem, routing, lattice, buffers.low, net, limit)
+        set_costs(problem, routing, memory, net, limit)
         search.tally[1] += points
         exact = True
         quick = progress.kind == NEGOTIATE or progress.kind == DISPLACE
         labels = NEGOTIATED_LABELS if quick else EXACT_LABELS
         if pins == 2 or (pins <= problem.exact_pins and points << (pins - 1) <= labels):
-            cost = join_all(problem, progress, lattice, search, buffers.low, net)
+            cost = join_all(problem, routing, memory, net)
         else:
             worn = (
                 progress.kind == NEGOTIATE
                 and draw(progress) % 100 < MENDED
-                and load_tree(problem, routing, lattice, buffers.low, net)
+                and load_tree(problem, routing, memory, net)
             )
             cost = i64(0)
             if not worn:
-                cost = grow(problem, progress, lattice, search, buffers, net)
+                cost = grow(problem, routing, memory, net)
             if cost != CLOSED:
                 for i in range(problem.first[net], problem.first[net + 1]):
                     point = point_of(problem.position, buffers.low, lattice.size, problem.pin[i])
                     buffers.pin[point] = 1
-                mend(problem, routing, lattice, search, buffers, i64(point), worn)
+                mend(problem, routing, memory, i64(point), worn)
                 exact = False
                 for i in range(problem.first[net], problem.first[net + 1]):
                     point = point_of(problem.position, buffers.low, lattice.size, problem.pin[i])
@@ -322,12 +330,7 @@ def reroute(problem: ProblemArrays, routing: Routing, memory: Memory, net: int) 
 @compiled
 def keep_best(routing: Routing) -> None:
     """Copies the trees to ``routing.best``."""
-    size = 0
-    for net in range(len(routing.start)):
-        routing.best_first[net] = size
-        for i in range(routing.length[net]):
-            routing.best[size + i] = routing.edge[routing.start[net] + i]
-        size += routing.length[net]
+    size = _copy_trees(routing, routing.best, routing.best_first)
     routing.best_first[len(routing.start)] = size
 
 
