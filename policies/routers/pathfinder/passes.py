@@ -1,4 +1,4 @@
-"""Compiled code that carries out a pass over the nets."""
+"""Compiled code that carries out a stage of the search, mostly a pass over the nets."""
 
 from marouting.kernels import compiled, i64
 from policies.routers.pathfinder.kernels import draw
@@ -11,11 +11,12 @@ from policies.routers.pathfinder.state import (
     PAUSED,
     POOL_TOO_SMALL,
     REPAIR,
+    RESTORE,
     Memory,
     ProblemArrays,
     Routing,
 )
-from policies.routers.pathfinder.trees import compact, overflows, reroute
+from policies.routers.pathfinder.trees import compact, link_all, load_best, overflows, reroute
 
 _PATTERN_WORK = 64
 """A pattern is about the work of so many labels."""
@@ -23,14 +24,18 @@ _PATTERN_WORK = 64
 
 @compiled
 def go_on(problem: ProblemArrays, routing: Routing, memory: Memory) -> int:
-    """Carries the present pass on, from where the last call left it.
+    """Carries the present stage on, from where the last call left it.
 
     Returns:
-        Why it returned: DONE at the end of the pass; PAUSED to let the caller look at the clock;
+        Why it returned: DONE at its end; PAUSED to let the caller look at the clock;
         BOX_TOO_SMALL or POOL_TOO_SMALL if ``memory`` or the pools of ``routing`` have to be
         replaced by larger ones, for ``routing.progress["need"]`` points or edges.
     """
     search, progress = memory.search, routing.progress[0]
+    if progress.kind == RESTORE:
+        load_best(problem, routing)
+        link_all(routing)
+        return DONE
     if progress.kind == REPAIR and progress.next == 0:
         begin_pass(problem, routing)
     while progress.next < len(routing.order):

@@ -19,14 +19,7 @@ from policies.routers.pathfinder.state import (
     ProblemArrays,
     Routing,
 )
-from policies.routers.pathfinder.trees import (
-    detours,
-    link_all,
-    load_best,
-    overflows,
-    reroute,
-    use_tree,
-)
+from policies.routers.pathfinder.trees import detours, overflows, reroute, use_tree
 
 _STEPS = 24
 """Nets are rerouted so often, at most, until no more overflows than before."""
@@ -34,13 +27,6 @@ _STEPS = 24
 _PRESENT, _GROWTH = 0.5, 1.3
 """Factor by which one net too many raises the cost of an edge to the first net, and by which this
 grows from one net to the next."""
-
-
-@compiled
-def begin_repairing(problem: ProblemArrays, routing: Routing) -> None:
-    """Puts the best solution so far in place, to be repaired."""
-    load_best(problem, routing)
-    link_all(routing)
 
 
 @compiled

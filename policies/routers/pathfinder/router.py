@@ -10,8 +10,17 @@ from numpy.typing import NDArray
 from marouting import Problem, Solution
 from policies.routers.pathfinder.options import PathfinderOptions
 from policies.routers.pathfinder.routed import Routed, Stop
-from policies.routers.pathfinder.search import PRICES, Search
-from policies.routers.pathfinder.state import NEGOTIATE, PATTERN, RELAX, REPAIR, SQUEEZE, UNIT
+from policies.routers.pathfinder.search import Search
+from policies.routers.pathfinder.state import (
+    NEGOTIATE,
+    PATTERN,
+    PRICES,
+    RELAX,
+    REPAIR,
+    RESTORE,
+    SQUEEZE,
+    UNIT,
+)
 
 _WARM = 60
 """Passes of a search that is made to compile all that a search needs."""
@@ -189,7 +198,7 @@ class _Stages:
     def _repair(self) -> Iterator[int]:
         """Lets nets displace each other, from the best solution on, while better ones are found."""
         search, stale = self._search, 0
-        search.begin_repairing()
+        yield RESTORE
         while stale < self._options.repair_stall_passes:
             passes = len(search.history)
             yield REPAIR

@@ -15,7 +15,6 @@ from policies.routers.pathfinder.contest import with_contest
 from policies.routers.pathfinder.options import PathfinderOptions
 from policies.routers.pathfinder.passes import go_on, shuffle
 from policies.routers.pathfinder.relaxation import Relaxation
-from policies.routers.pathfinder.repair import begin_repairing
 from policies.routers.pathfinder.routed import Pass, Stop
 from policies.routers.pathfinder.schedule import scheduled
 from policies.routers.pathfinder.state import (
@@ -24,8 +23,10 @@ from policies.routers.pathfinder.state import (
     KINDS,
     PATTERN,
     POOL_TOO_SMALL,
+    PRICES,
     RELAX,
     REPAIR,
+    RESTORE,
     SQUEEZE,
     UNIT,
     make_arrays,
@@ -34,9 +35,6 @@ from policies.routers.pathfinder.state import (
     with_trees,
 )
 from policies.routers.pathfinder.trees import keep_best
-
-PRICES = -2
-"""No kind of pass: the linear program sets prices."""
 
 _LARGE = 5_000
 """With more nets than these, negotiating begins with patterns; otherwise with shortest trees."""
@@ -134,7 +132,6 @@ class Search:
             self.relaxation = Relaxation(self._arrays, self.routing, options.lp_price_scale)
         self._go_on = specialised(go_on, self._arrays, self.routing, self._workers[0].memory)
         self._shuffle = specialised(shuffle, self.routing)
-        self._begin_repairing = specialised(begin_repairing, self._arrays, self.routing)
         self.options = options
         self.history: list[Pass] = []
         self.rank, self.best_rank = (0, 0), _NOTHING
@@ -161,10 +158,6 @@ class Search:
         """Forgets how much overflow there was."""
         self._fewest, self.stuck = np.inf, 0
 
-    def begin_repairing(self) -> None:
-        """Puts the best solution in place, to be repaired."""
-        self._begin_repairing(self._arrays, self.routing)
-
     def ended(self, stage: int | None) -> Stop | None:
         """Why the search ends before a stage; None if it does not."""
         options = self.options
@@ -178,8 +171,8 @@ class Search:
         return "gain" if over and self._gain.too_little(self._spent(), length, least) else None
 
     def carry_out(self, stage: int) -> Stop | None:
-        """Carries out a pass, or sets prices; returns why the search ends meanwhile, if it does."""
-        if self.relaxation is not None and stage != PATTERN:
+        """Carries out a stage; returns why the search ends meanwhile, if it does."""
+        if self.relaxation is not None and stage not in (PATTERN, RESTORE):
             self.relaxation.collect(self.routing)
         if stage != PRICES:
             self.progress["kind"], self.progress["routed"] = stage, 0
@@ -187,7 +180,7 @@ class Search:
             stop = self._look()
             if stop is not None:
                 return stop
-        if stage != PRICES:
+        if stage >= 0:
             self._end_pass(stage)
         return None
 
@@ -196,7 +189,7 @@ class Search:
         first, progress = self._workers[0], self.progress
         if stage == PRICES and self.relaxation is not None:
             return self.relaxation.advance(self.routing, self._labels)
-        if self._batch is not None and stage <= SQUEEZE:
+        if self._batch is not None and 0 <= stage <= SQUEEZE:
             self.routing = advance_batch(self._arrays, self.routing, self._batch, self._workers)
             self._began -= max(worker.seconds for worker in self._workers) - first.seconds
             return bool(progress["next"] == len(self.routing.order))

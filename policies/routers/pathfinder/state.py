@@ -47,8 +47,10 @@ Kind = Literal["relax", "negotiate", "squeeze", "repair", "pattern"]
 KINDS: tuple[Kind, ...] = ("relax", "negotiate", "squeeze", "repair", "pattern")
 RELAX, NEGOTIATE, SQUEEZE, REPAIR, PATTERN = range(len(KINDS))
 
-DISPLACE = -1
-"""No kind of pass: within a repairing pass, costs are as if all negotiated, but without prices."""
+DISPLACE, PRICES, RESTORE = -1, -2, -3
+"""No kinds of passes. DISPLACE: within a repairing pass, costs are as if all negotiated, but
+without prices. PRICES: the linear program sets prices. RESTORE: the best solution is put in
+place."""
 
 DONE, PAUSED, BOX_TOO_SMALL, POOL_TOO_SMALL = range(0, -4, -1)
 """Why a call of compiled code returned. Numbers above 0 are results."""
