@@ -44,15 +44,9 @@ from policies.routers.pathfinder import (
     Routed,
 )
 from policies.routers.pathfinder.relaxation import Relaxation
-from policies.routers.pathfinder.router import _Gain
 from policies.routers.pathfinder.schedule import TUNED, scheduled
-from policies.routers.pathfinder.state import (
-    RELAX,
-    UNIT,
-    make_arrays,
-    make_parameters,
-    with_trees,
-)
+from policies.routers.pathfinder.search import Gain
+from policies.routers.pathfinder.state import UNIT, make_arrays, with_trees
 from policies.routers.registry import is_learner
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -483,7 +477,7 @@ def clock_of(monkeypatch: pytest.MonkeyPatch, step: float) -> None:
     """Makes every look at the clock take so many seconds."""
     ticks = itertools.count()
     monkeypatch.setattr(
-        "policies.routers.pathfinder.router.time.thread_time", lambda: step * next(ticks)
+        "policies.routers.pathfinder.search.time.thread_time", lambda: step * next(ticks)
     )
 
 
@@ -519,7 +513,7 @@ def test_what_counts_as_little_gain() -> None:
     """Over four seconds or the last quarter of the search."""
 
     def stops(least: float, *found: tuple[float, int]) -> list[bool]:
-        gain = _Gain()
+        gain = Gain()
         return [gain.too_little(seconds, length, least) for seconds, length in found]
 
     first = [(0.0, 10_000), (2.0, 10_000), (4.0, 9_990)]
@@ -813,22 +807,20 @@ def test_the_linear_program_agrees_with_highs(seed: int) -> None:
     problem = hard_to_fit(seed)
     options = PathfinderOptions(via_weight=0.5)
     arrays, routing = make_arrays(problem, options)
-    relaxation = Relaxation(arrays, make_parameters(options), routing, worth=1.0)
-    progress = routing.progress[0]
-    progress["kind"], progress["passes"], progress["best_overflow"] = RELAX, 2, 1
+    relaxation = Relaxation(arrays, routing, worth=1.0)
     trees: list[set[tuple[int, ...]]] = [set() for _ in problem.nets]
     solutions = [router(passes=2 + i, seed=i).route(problem) for i in range(12)]
     for solution in solutions:
-        progress["top"] = 0
+        routing.progress["top"] = 0
         routing = with_trees(routing, solution)
-        relaxation.after_pass(routing)
+        relaxation.collect(routing)
         net, edge = solution.pruned().uses
         for i, kept in enumerate(trees):
             kept.add(tuple(edge[(net == i) & (edge % AXES != VIA_AXIS)].tolist()))
     for _ in range(60):  # goes on from where it stood
-        relaxation.after_pass(routing)
-        while relaxation.busy:
-            relaxation.advance(routing, 1 << 20)
+        relaxation.begin(first=True)
+        while not relaxation.advance(routing, 1 << 20):
+            pass
     price = routing.price / UNIT
     assert price.min() >= 0
     assert price.max() <= 1 + 1e-9

@@ -41,22 +41,28 @@ across each column and row of the box (:func:`~policies.routers.pathfinder.kerne
 
 Where to look:
 
-* :mod:`~policies.routers.pathfinder.options`: the options, with their meaning and defaults.
-* :mod:`~policies.routers.pathfinder.state`: the arrays that the compiled code works on.
-* :mod:`~policies.routers.pathfinder.kernels`: compiled code that finds a tree for one net.
-* :mod:`~policies.routers.pathfinder.patterns`: compiled code for the first pass.
-* :mod:`~policies.routers.pathfinder.trees`: compiled code that gives nets their trees.
-* :mod:`~policies.routers.pathfinder.repair`: compiled code for nets that displace each other.
-* :mod:`~policies.routers.pathfinder.passes`: compiled code for passes and rounds.
-* :mod:`~policies.routers.pathfinder.batches`: passes in batches, and their threads.
-* :mod:`~policies.routers.pathfinder.contest`: the cost of ISPD 2024 as what is minimised.
+* :mod:`~policies.routers.pathfinder.router`: the router, and the stages of a search. Begin here.
+* :mod:`~policies.routers.pathfinder.search`: carries stages out, looks at the clock, and keeps the
+  best solution; :mod:`~policies.routers.pathfinder.routed`: what comes back.
+* :mod:`~policies.routers.pathfinder.options`: the options, with their meaning and defaults;
+  :mod:`~policies.routers.pathfinder.schedule`: those of ``schedule: tuned``.
 * :mod:`~policies.routers.pathfinder.relaxation`: prices from a linear program.
-* :mod:`~policies.routers.pathfinder.router`: the router, and what it reports.
-* :mod:`~policies.routers.pathfinder.schedule`: the options of ``schedule: tuned``.
+* :mod:`~policies.routers.pathfinder.contest`: the cost of ISPD 2024 as what is minimised.
+* :mod:`~policies.routers.pathfinder.state`: the arrays that the compiled code works on.
+
+Compiled code, each file on those after it:
+
+* :mod:`~policies.routers.pathfinder.passes`: a pass over the nets, one after another.
+* :mod:`~policies.routers.pathfinder.batches`: passes in batches, and their threads.
+* :mod:`~policies.routers.pathfinder.patterns`: the first pass.
+* :mod:`~policies.routers.pathfinder.repair`: nets that displace each other.
+* :mod:`~policies.routers.pathfinder.trees`: gives nets their trees.
+* :mod:`~policies.routers.pathfinder.kernels`: finds a tree for one net.
 """
 
 from policies.routers.pathfinder.options import PathfinderOptions
-from policies.routers.pathfinder.router import PathfinderRouter, Routed
+from policies.routers.pathfinder.routed import Routed
+from policies.routers.pathfinder.router import PathfinderRouter
 
 __all__ = ["PathfinderOptions", "PathfinderRouter", "Routed"]
 

@@ -7,30 +7,24 @@ depend on the number of threads.
 """
 
 import time
-from collections import deque
-from concurrent.futures import Future, ThreadPoolExecutor
-from types import TracebackType
-from typing import Any, NamedTuple, Self
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from marouting.kernels import compiled, i64
-from marouting.problem.grid import AXES
 from policies.routers.pathfinder.kernels import draw, set_box
-from policies.routers.pathfinder.passes import advance
 from policies.routers.pathfinder.state import (
     BOX_TOO_SMALL,
     DONE,
-    EDGES,
     FIRST_BOX,
     LAYERS,
     NEGOTIATE,
     POOL_TOO_SMALL,
     PROGRESS,
-    SQUEEZE,
     Memory,
-    Parameters,
     ProblemArrays,
     Routing,
     make_memory,
@@ -39,6 +33,15 @@ from policies.routers.pathfinder.state import (
 )
 from policies.routers.pathfinder.trees import adopt, compact, is_settled, overflows, plan, use_tree
 
+MANY = 20_000
+"""With more nets than these, they are planned in batches; otherwise they take turns."""
+
+_SHARE = 64
+"""One net of so many, at most, is in a batch, so that few of them meet."""
+
+_MOST = 1024
+"""Nets in a batch, at most."""
+
 _POINTS = 1 << 22
 """Points in the boxes of a batch, after which no further net joins it: about 0.2 s of work."""
 
@@ -46,7 +49,7 @@ _SPREAD = 8
 """How many nets a batch is chosen from, for each that has room in it. Nets that come later see what
 the batch has changed."""
 
-_ROW = 16
+_ROOM = 16
 """Room for the new trees of a batch at first, for each thread, in edges."""
 
 _PARTS = 8
@@ -58,17 +61,27 @@ class Batch(NamedTuple):
 
     net: NDArray[np.int64]  # (most,) the nets
     random: NDArray[np.int64]  # (most,) the state of their random numbers
-    plan: NDArray[np.int64]  # (most, 2) as NetBuffers.plan
-    row: NDArray[np.int64]  # (most,) the thread that made the plan
-    first: NDArray[np.int64]  # (most,) where the new tree begins in that row of ``edge``
-    edge: NDArray[np.int32]  # (threads, size) edges of the new trees
-    top: NDArray[np.int64]  # (threads,) end of the used part of each row
-    low: NDArray[np.int64]  # (3,) a box; working memory, like the next
-    size: NDArray[np.int64]  # (3,)
+    exact: NDArray[np.bool_]  # (most,) whether no tree in the net's box is cheaper
+    worker: NDArray[np.int64]  # (most,) the worker that made the plan
+    first: NDArray[np.int64]  # (most,) where the new tree begins among its edges
+    last: NDArray[np.int64]  # (most,) and where it ends
+
+
+def make_batch(nets: int) -> Batch:
+    """Room for a batch of so many nets to be routed."""
+    most = min(nets // _SHARE, _MOST)
+    return Batch(
+        net=np.empty(most, np.int64),
+        random=np.empty(most, np.int64),
+        exact=np.empty(most, np.bool_),
+        worker=np.empty(most, np.int64),
+        first=np.empty(most, np.int64),
+        last=np.empty(most, np.int64),
+    )
 
 
 @compiled
-def _gather(problem: ProblemArrays, parameters: Parameters, routing: Routing, batch: Batch) -> int:
+def _gather(problem: ProblemArrays, routing: Routing, memory: Memory, batch: Batch) -> int:
     """Puts the next nets of the pass into a batch; returns how many there are.
 
     Where nets negotiate, a net whose edges would not overflow without those that are in the batch
@@ -83,11 +96,11 @@ def _gather(problem: ProblemArrays, parameters: Parameters, routing: Routing, ba
         progress.next += 1
         if negotiated and not overflows(routing, net):
             continue
-        if is_settled(problem, parameters, routing, net):
+        if is_settled(problem, routing, net):
             continue
         batch.net[count], batch.random[count] = net, draw(progress)
-        margin = parameters.margin
-        points += set_box(problem, routing, net, margin, i64(LAYERS), batch.low, batch.size)
+        margin, layers = problem.margin, i64(LAYERS)
+        points += set_box(problem, routing, memory, net, margin, layers)
         if negotiated:
             use_tree(problem, routing, net, i64(-1))
             order[progress.next - 1], order[begin + count] = order[begin + count], net
@@ -100,187 +113,125 @@ def _gather(problem: ProblemArrays, parameters: Parameters, routing: Routing, ba
             if overflows(routing, net):
                 progress.next -= 1
                 order[i], order[progress.next] = order[progress.next], net
-    for row in range(len(batch.top)):
-        batch.top[row] = 0
     return count
 
 
 @compiled
 def _plan_some(
     problem: ProblemArrays,
-    parameters: Parameters,
     routing: Routing,
     memory: Memory,
     batch: Batch,
-    row: int,
+    edges: Any,
+    worker: int,
     last: int,
 ) -> int:
-    """Plans some nets of a batch in a thread; POOL_TOO_SMALL: its row of ``edge`` is full."""
-    progress, buffers = routing.progress[0], memory.buffers
+    """Plans some nets of a batch in a thread; POOL_TOO_SMALL: ``edges`` is full."""
+    progress = routing.progress[0]
     while progress.next < last:
         i = progress.next
         progress.random = batch.random[i]
-        code = plan(problem, parameters, routing, memory, batch.net[i])
-        if code != DONE:
-            return code
-        edges, first = buffers.plan[EDGES], batch.top[row]
-        if first + edges > batch.edge.shape[1]:
-            progress.need = first + edges
+        size, exact = plan(problem, routing, memory, batch.net[i])
+        if size == BOX_TOO_SMALL:
+            return BOX_TOO_SMALL
+        if progress.top + size > len(edges):
+            progress.need = progress.top + size
             return POOL_TOO_SMALL
-        for j in range(len(buffers.plan)):
-            batch.plan[i, j] = buffers.plan[j]
-        for j in range(edges):
-            batch.edge[row, first + j] = buffers.tree[0, j]
-        batch.row[i], batch.first[i] = row, first
-        batch.top[row] = first + edges
+        batch.exact[i], batch.worker[i] = exact, worker
+        batch.first[i], batch.last[i] = progress.top, progress.top + size
+        for j in range(size):
+            edges[progress.top + j] = memory.buffers.tree[j]
+        progress.top += size
         progress.next += 1
     return DONE
 
 
 @compiled
-def _adopt_all(problem: ProblemArrays, routing: Routing, batch: Batch, begin: int, end: int) -> int:
+def _adopt_all(
+    problem: ProblemArrays, routing: Routing, batch: Batch, edges: Any, begin: int, end: int
+) -> int:
     """Carries out plans in order; returns the first that the pool lacks room for, or ``end``."""
     for i in range(begin, end):
-        net, row, first = batch.net[i], batch.row[i], batch.first[i]
+        net, first, last = batch.net[i], batch.first[i], batch.last[i]
         code = POOL_TOO_SMALL
         while code != DONE:
-            code = adopt(problem, routing, net, batch.plan[i], batch.edge, row, first)
+            code = adopt(problem, routing, net, edges, first, last, batch.exact[i])
             if code == POOL_TOO_SMALL and not compact(routing):
                 return i
     return end
 
 
-class _Worker:
-    """A thread's own progress and working memory."""
+class Worker:
+    """A thread's own progress and working memory.
 
-    def __init__(self, row: int, problem: ProblemArrays, exact_pins: int) -> None:
-        self.row = row
+    Attributes:
+        memory: the working memory.
+        edges: (progress["top"],) the new trees that it has planned for a batch; more room.
+        seconds: processor time that it took for that.
+    """
+
+    def __init__(self, number: int, problem: ProblemArrays) -> None:
+        self.edges = np.empty(_ROOM, np.int32)
+        self.seconds = 0.0
         self.progress: NDArray[Any] = np.zeros(1, PROGRESS)
-        self.seconds = 0.0  # of processor time in the present batch
-        self._problem, self._exact_pins = problem, exact_pins
+        self._number, self._problem = number, problem
         self.make_room(min(FIRST_BOX, len(problem.position)))
 
     def make_room(self, points: int) -> None:
         """Makes the working memory large enough for boxes of so many points."""
-        self.memory = make_memory(self._problem, self._exact_pins, points)
+        self.memory = make_memory(self._problem, points)
 
-    def work(
-        self, parameters: Parameters, routing: Routing, batch: Batch, parts: deque[range]
-    ) -> range:
-        """Plans one part of a batch after another, until none is left.
-
-        Returns:
-            The nets that its row of ``batch.edge`` had no room for.
-        """
+    def work(self, routing: Routing, batch: Batch, parts: Iterator[range]) -> None:
+        """Plans one part of a batch after another; all workers share the iterator."""
         began = time.thread_time()
         self.progress[:] = routing.progress
         own, progress = routing._replace(progress=self.progress), self.progress[0]
-        left = range(0)
-        while not left:
-            try:
-                part = parts.popleft()
-            except IndexError:
-                break
+        progress["top"] = 0
+        for part in parts:
             progress["next"], code = part.start, BOX_TOO_SMALL
-            while code == BOX_TOO_SMALL:
-                code = _plan_some(
-                    self._problem, parameters, own, self.memory, batch, self.row, part.stop
-                )
+            while code != DONE:
+                known = self._problem, own, self.memory, batch, self.edges
+                code = _plan_some(*known, self._number, part.stop)
                 if code == BOX_TOO_SMALL:
                     self.make_room(2 * int(progress["need"]))
-            left = range(int(progress["next"]), part.stop)
+                elif code == POOL_TOO_SMALL:
+                    self.edges = widened(self.edges, 2 * int(progress["need"]))
         self.seconds = time.thread_time() - began
-        return left
 
 
-class Crew:
-    """The threads that carry a search on.
+def advance_batch(
+    problem: ProblemArrays, routing: Routing, batch: Batch, workers: list[Worker]
+) -> Routing:
+    """Gives the next nets of the pass new trees, unless theirs are as good.
 
     Args:
         problem: the problem.
-        parameters: the options.
-        most: nets that are planned at once.
-        threads: how many threads plan them, the caller's included.
+        routing: the trees.
+        batch: working memory.
+        workers: plan the trees, each in a thread of its own, the first one in the caller's.
 
-    Attributes:
-        waited: processor time of the thread that worked longest beyond that of the caller's, in
-            seconds, over all batches.
+    Returns:
+        The routing, with a larger pool if it needed one.
     """
-
-    def __init__(
-        self, problem: ProblemArrays, parameters: Parameters, most: int, threads: int
-    ) -> None:
-        self.waited = 0.0
-        self._problem, self._parameters = problem, parameters
-        count = threads if most > 1 else 1
-        self._workers = [_Worker(row, problem, parameters.exact_pins) for row in range(count)]
-        self._threads = ThreadPoolExecutor(count - 1) if count > 1 else None
-        self._batch = Batch(
-            net=np.empty(most, np.int64),
-            random=np.empty(most, np.int64),
-            plan=np.empty((most, 2), np.int64),
-            row=np.empty(most, np.int64),
-            first=np.empty(most, np.int64),
-            edge=np.empty((count, _ROW), np.int32),
-            top=np.zeros(count, np.int64),
-            low=np.zeros(AXES, np.int64),
-            size=np.zeros(AXES, np.int64),
-        )
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if self._threads is not None:
-            self._threads.shutdown()
-
-    def advance(self, routing: Routing) -> tuple[bool, Routing]:
-        """Carries the search on for a while.
-
-        Returns:
-            Whether the search has ended; and the routing, with a larger pool if it needed one.
-        """
-        progress, first = routing.progress[0], self._workers[0]
-        planned = progress["most"] > 1 and progress["kind"] <= SQUEEZE
-        if planned and progress["next"] < len(routing.order):
-            return False, self._advance_batch(routing)
-        code = advance(self._problem, self._parameters, routing, first.memory)
-        if code == BOX_TOO_SMALL:
-            first.make_room(2 * int(progress["need"]))
-        elif code == POOL_TOO_SMALL:
-            routing = with_larger_pool(routing, 2 * int(progress["need"]))
-        return code == DONE, routing
-
-    def _advance_batch(self, routing: Routing) -> Routing:
-        """Gives the next nets of the pass new trees, unless theirs are as good."""
-        end = _gather(self._problem, self._parameters, routing, self._batch)
-        count = _PARTS * len(self._workers) if self._threads is not None else 1
-        size = max(-(-end // count), 1)
-        parts = deque(range(i, min(i + size, end)) for i in range(0, end, size))
-        while parts:
-            parts = self._plan(routing, parts)
-            if parts:
-                need = max(int(worker.progress[0]["need"]) for worker in self._workers)
-                self._batch = self._batch._replace(edge=widened(self._batch.edge, 2 * need))
-        planned = 0
-        while planned < end:
-            planned = _adopt_all(self._problem, routing, self._batch, planned, end)
-            if planned < end:
-                routing = with_larger_pool(routing, 2 * int(routing.progress[0]["need"]))
-        return routing
-
-    def _plan(self, routing: Routing, parts: deque[range]) -> deque[range]:
-        """Plans parts of the batch; returns those that there was no room for, and what is left."""
-        first, *others = self._workers
-        arguments = self._parameters, routing, self._batch, parts
-        waiting: list[Future[range]] = []
-        if self._threads is not None:
-            waiting = [self._threads.submit(other.work, *arguments) for other in others]
-        left = [first.work(*arguments), *(other.result() for other in waiting)]
-        self.waited += max(worker.seconds for worker in self._workers) - first.seconds
-        return deque([*(part for part in left if part), *parts])
+    first, *others = workers
+    end = _gather(problem, routing, first.memory, batch)
+    count = _PARTS * len(workers) if others else 1
+    size = max(-(-end // count), 1)
+    # An iterator over a list gives each part to one thread; a generator could not be shared.
+    parts = iter([range(i, min(i + size, end)) for i in range(0, end, size)])
+    with ThreadPoolExecutor(len(workers)) as threads:
+        waiting = [threads.submit(other.work, routing, batch, parts) for other in others]
+        first.work(routing, batch, parts)
+    for each in waiting:
+        each.result()
+    tops = np.array([worker.progress["top"][0] for worker in workers], np.int64)
+    edges = np.concatenate([worker.edges[:top] for worker, top in zip(workers, tops, strict=True)])
+    begin = (tops.cumsum() - tops)[batch.worker[:end]]
+    batch.first[:end] += begin
+    batch.last[:end] += begin
+    planned = 0
+    while planned < end:
+        planned = _adopt_all(problem, routing, batch, edges, planned, end)
+        if planned < end:
+            routing = with_larger_pool(routing, 2 * int(routing.progress["need"][0]))
+    return routing

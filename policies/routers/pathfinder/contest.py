@@ -36,7 +36,6 @@ def with_contest(
     tracks, closed = _tracks(problem, contest)
     overflow_cost = contest.overflow_cost * UNIT / usual
     overflow_cost[0] = 0.0
-    routing.progress["contest"], routing.progress["crowding"] = 1, 1.0
     capacity = np.where(closed, -1, arrays.capacity)
     capacity.setflags(write=False)
     routing.remaining[:] = capacity
@@ -53,6 +52,8 @@ def with_contest(
             overflow_cost=overflow_cost,
             tracks=tracks.reshape(-1),
             along=contest.axis.astype(np.int64),
+            contest=True,
+            crowding=1.0,
         ),
         routing._replace(vias=taken.reshape(-1)),
     )

@@ -1,6 +1,6 @@
 """Compiled code that finds a tree for one net, inside a box of the grid.
 
-Points are the Gcells of the box, numbered as in :class:`marouting.trees.steiner.Lattice`. All
+Points are the Gcells of the box, numbered as in :class:`marouting.trees.lattice.Lattice`. All
 costs are in the units of :data:`~policies.routers.pathfinder.state.UNIT`.
 """
 
@@ -18,6 +18,7 @@ from policies.routers.pathfinder.state import (
     FULL,
     SQUEEZE,
     UNIT,
+    Memory,
     NetBuffers,
     ProblemArrays,
     Routing,
@@ -57,9 +58,9 @@ def via_cost(problem: ProblemArrays, gcell: int) -> int:
 
 
 @compiled
-def wire_cost(problem: ProblemArrays, routing: Routing, edge: int) -> int:
+def wire_cost(problem: ProblemArrays, edge: int) -> int:
     """The length of an edge inside a layer."""
-    if not routing.progress[0].contest:
+    if not problem.contest:
         return i64(UNIT)
     gcell = edge // AXES
     axis = edge - AXES * gcell
@@ -73,12 +74,11 @@ def use_cost(problem: ProblemArrays, routing: Routing, edge: int, more: int) -> 
     By the rules of ISPD 2024 the overflow that it causes (:mod:`marouting.problem.contest`);
     otherwise a parabola, which begins where the edge begins to be crowded.
     """
-    progress = routing.progress[0]
-    if progress.crowding == 0:
+    if problem.crowding == 0:
         return i64(0)
     capacity = problem.capacity[edge]
     used = capacity - routing.remaining[edge] + more / 2
-    if progress.contest:
+    if problem.contest:
         gcell = edge // AXES
         tracks, used = problem.tracks[edge], used + routing.vias[edge]
         over = used - tracks if tracks > 0 else 2 * WITHOUT * used
@@ -86,10 +86,10 @@ def use_cost(problem: ProblemArrays, routing: Routing, edge: int, more: int) -> 
             return i64(0)
         cost = problem.overflow_cost[problem.position[gcell, VIA_AXIS]]
         return i64(cost * np.exp(min(SLOPE * over, _STEEPEST)))
-    free = progress.crowded_from * capacity
+    free = problem.crowded_from * capacity
     if capacity <= 0 or used <= free:
         return i64(0)
-    return i64(progress.crowding * UNIT / 2 * (used - free) ** 2 / (capacity - free))
+    return i64(problem.crowding * UNIT / 2 * (used - free) ** 2 / (capacity - free))
 
 
 @compiled
@@ -100,11 +100,11 @@ def edge_cost(problem: ProblemArrays, routing: Routing, edge: int, demand: int, 
     edge at all costs.
     """
     kind, length = routing.progress[0].kind, i64(UNIT)
-    if routing.progress[0].crowding > 0:
-        length = wire_cost(problem, routing, edge)
+    if problem.crowding > 0:
+        length = wire_cost(problem, edge)
         more = use_cost(problem, routing, edge, 2 * (demand - own))
         length += min(more - use_cost(problem, routing, edge, -2 * own), i64(FULL // 2))
-        if routing.progress[0].contest:  # only by controls nets take more than a track
+        if problem.contest:  # only by controls nets take more than a track
             return length + (FULL if demand > 1 else 0)
     over = demand - own - routing.remaining[edge]
     if kind >= SQUEEZE:
@@ -122,23 +122,22 @@ def tree_cost(
     routing: Routing,
     net: int,
     edges: Any,
-    row: int,
     first: int,
     last: int,
     own: int,
 ) -> int:
-    """The present cost of a tree, ``edges[row, first:last]``, to a net.
+    """The present cost of a tree, ``edges[first:last]``, to a net.
 
     ``own`` is 1 if it is the net's tree at the moment, 0 if the net is ripped up.
     """
     cost = i64(0)
     own = i64(own)
     for i in range(first, last):
-        edge = i64(edges[row, i])
+        edge = i64(edges[i])
         gcell = edge // AXES
         if edge - AXES * gcell == VIA_AXIS:
             cost += via_cost(problem, gcell)
-            if routing.progress[0].contest and is_stacked(problem, edges, row, first, last, gcell):
+            if problem.contest and is_stacked(problem, edges, first, last, gcell):
                 for side in range(2):
                     beside, halves = beside_via(problem, gcell, side)
                     if halves > 0:
@@ -168,20 +167,18 @@ def beside_via(problem: ProblemArrays, gcell: int, side: int) -> tuple[int, int]
 
 
 @compiled
-def is_stacked(
-    problem: ProblemArrays, edges: Any, row: int, first: int, last: int, gcell: int
-) -> bool:
+def is_stacked(problem: ProblemArrays, edges: Any, first: int, last: int, gcell: int) -> bool:
     """Whether no wire of a tree ends in or passes through a Gcell, along the Gcell's layer."""
     for side in range(2):
         beside, halves = beside_via(problem, gcell, side)
         low, high = i64(first), i64(last)
         while low < high:  # edges are in order
             middle = (low + high) // 2
-            if edges[row, middle] < beside:
+            if edges[middle] < beside:
                 low = middle + 1
             else:
                 high = middle
-        if halves > 0 and low < last and edges[row, low] == beside:
+        if halves > 0 and low < last and edges[low] == beside:
             return False
     return True
 
@@ -216,25 +213,20 @@ def _add_stacks(problem: ProblemArrays, lattice: Lattice, low: Any) -> None:
 def set_box(
     problem: ProblemArrays,
     routing: Routing,
+    memory: Memory,
     net: int,
     margin: int,
     layers: int,
-    low: Any,
-    size: Any,
 ) -> int:
-    """Puts a box around a net's pins and its current tree, wider by a margin and some layers.
-
-    Returns:
-        The number of points in the box.
-    """
-    points = 1
+    """Puts a box around a net's pins and its tree, some Gcells wider; returns its points."""
+    low, size, points = memory.buffers.low, memory.lattice.size, 1
     for axis in range(AXES):
         least, most = problem.size[axis] - 1, i64(0)
         for i in range(problem.first[net], problem.first[net + 1]):
             at = i64(problem.position[problem.pin[i], axis])
             least, most = min(least, at), max(most, at)
         for i in range(routing.start[net], routing.start[net] + routing.length[net]):
-            edge = i64(routing.edge[routing.progress[0].pool, i])
+            edge = i64(routing.edge[i])
             at = i64(problem.position[edge // AXES, axis])
             least, most = min(least, at), max(most, at)
             if edge % AXES == axis:
@@ -255,12 +247,7 @@ def point_of(position: Any, low: Any, size: Any, gcell: int) -> int:
 
 @compiled
 def set_costs(
-    problem: ProblemArrays,
-    routing: Routing,
-    lattice: Lattice,
-    low: Any,
-    net: int,
-    limit: int,
+    problem: ProblemArrays, routing: Routing, memory: Memory, net: int, limit: int
 ) -> None:
     """Gives the moves in a net's box their costs and clears the lattice's tree.
 
@@ -269,6 +256,7 @@ def set_costs(
     everything overflows, that is far more than the number of edges, and searches stay short. The
     tracks of the net's present tree are free for a new one.
     """
+    lattice, low = memory.lattice, memory.buffers.low
     nx, ny, nz = lattice.size[0], lattice.size[1], lattice.size[2]
     set_size(lattice, nx, ny, nz)
     begin_lines(lattice, i64(0))
@@ -308,7 +296,7 @@ def set_costs(
                 point += 1
     first = i64(routing.start[net])
     for i in range(first, first + routing.length[net]):
-        edge = i64(routing.edge[routing.progress[0].pool, i])
+        edge = i64(routing.edge[i])
         gcell = edge // AXES
         axis = edge - AXES * gcell
         if axis == VIA_AXIS:
@@ -319,7 +307,7 @@ def set_costs(
             at = problem.position[gcell, axis] - low[axis] + 1
             lattice.line[axis, at] = min(lattice.line[axis, at], cost)
             set_cost(lattice, point_of(problem.position, low, lattice.size, gcell), axis, cost)
-    if routing.progress[0].contest:
+    if problem.contest:
         _add_stacks(problem, lattice, low)
     sum_lines(lattice)
 
@@ -340,14 +328,10 @@ def _extend_bounds(lattice: Lattice, search: Search, group: int, point: int, siz
 
 
 @compiled
-def join_all(
-    problem: ProblemArrays, progress: Any, lattice: Lattice, search: Search, low: Any, net: int
-) -> int:
-    """Finds a cheapest tree for a net, in ``lattice.tree``.
-
-    Returns:
-        The tree's cost, or CLOSED if the box contains no tree.
-    """
+def join_all(problem: ProblemArrays, routing: Routing, memory: Memory, net: int) -> int:
+    """Finds a cheapest tree for a net, in ``lattice.tree``; returns its cost, or CLOSED."""
+    lattice, search, buffers = memory
+    progress, low = routing.progress[0], buffers.low
     first, pins = problem.first[net], problem.first[net + 1] - problem.first[net]
     root = draw(progress) % pins
     goal, group = i64(0), i64(0)
@@ -368,19 +352,10 @@ def join_all(
 
 
 @compiled
-def grow(
-    problem: ProblemArrays,
-    progress: Any,
-    lattice: Lattice,
-    search: Search,
-    buffers: NetBuffers,
-    net: int,
-) -> int:
-    """Grows a tree for a net pin by pin, in ``lattice.tree``, always joining the nearest pin.
-
-    Returns:
-        The tree's cost, or CLOSED if the box contains no tree.
-    """
+def grow(problem: ProblemArrays, routing: Routing, memory: Memory, net: int) -> int:
+    """Grows a tree pin by pin, always joining the nearest one; returns its cost, or CLOSED."""
+    lattice, search, buffers = memory
+    progress = routing.progress[0]
     first, pins = problem.first[net], problem.first[net + 1] - problem.first[net]
     ny, nz = lattice.size[1], lattice.size[2]
     for i in range(pins):
@@ -503,16 +478,15 @@ def _other_end(
 
 
 @compiled
-def load_tree(
-    problem: ProblemArrays, routing: Routing, lattice: Lattice, low: Any, net: int
-) -> bool:
+def load_tree(problem: ProblemArrays, routing: Routing, memory: Memory, net: int) -> bool:
     """Makes a net's tree that of the lattice, and returns whether it could.
 
     It cannot if the tree uses an edge that is closed; the lattice's tree then is empty as before.
     """
+    lattice, low = memory.lattice, memory.buffers.low
     is_open = True
     for i in range(routing.start[net], routing.start[net] + routing.length[net]):
-        edge = i64(routing.edge[routing.progress[0].pool, i])
+        edge = i64(routing.edge[i])
         gcell = edge // AXES
         move = 2 * (edge - AXES * gcell)
         point = point_of(problem.position, low, lattice.size, gcell)
@@ -535,22 +509,57 @@ def _is_listed(points: Any, end: int, point: int) -> bool:
 
 
 @compiled
-def mend(
-    problem: ProblemArrays,
-    routing: Routing,
-    lattice: Lattice,
-    search: Search,
-    buffers: NetBuffers,
-    root: int,
-    worn: bool,
-) -> int:
+def _cut(lattice: Lattice, buffers: NetBuffers, key: int, move: int) -> int:
+    """Removes the path that leaves a key by a move; returns the key where it ends."""
+    point = key
+    while True:
+        lattice.tree[point] ^= np.uint8(1 << move)
+        point += lattice.stride[move]
+        lattice.tree[point] ^= np.uint8(1 << (move ^ 1))
+        if buffers.pin[point] or _degree(lattice.tree[point]) != 1:
+            return point
+        move = i64(0)
+        while not lattice.tree[point] >> move & 1:
+            move += 1
+
+
+@compiled
+def _rejoin(routing: Routing, memory: Memory, one: int, other: int, keys: int) -> None:
+    """Joins both parts of a tree, at two of its points, by a cheapest path; ``keys`` are listed."""
+    lattice, search, buffers = memory
+    starts = _list_part(lattice, search, buffers, one, i64(0))
+    both = starts
+    if not buffers.inside[other]:
+        both = _list_part(lattice, search, buffers, other, starts)
+    for i in range(both):
+        buffers.inside[search.start[i]] = 0
+    if both == starts:
+        return  # there was a loop
+    # The goal is the smaller part, whose box is smaller, too, and is listed last.
+    if 2 * starts < both:
+        for i in range(starts):
+            _extend_bounds(lattice, search, i64(1), search.start[i], i)
+            buffers.key[keys + i] = search.start[i]
+        for i in range(both - starts):
+            search.start[i] = search.start[starts + i]
+        for i in range(starts):
+            search.start[both - starts + i] = buffers.key[keys + i]
+        starts = both - starts
+    for i in range(starts, both):
+        search.goal[search.start[i]] = 1
+    exact_tree(lattice, search, starts, i64(1), draw(routing.progress[0]))
+    for i in range(starts, both):
+        search.goal[search.start[i]] = 0
+
+
+@compiled
+def mend(problem: ProblemArrays, routing: Routing, memory: Memory, root: int, worn: bool) -> None:
     """Replaces each path between two keys of a tree, once, by a cheapest one.
 
-    Keys are pins and the points where the tree branches.
-
-    Returns:
-        By how much the tree's cost fell.
+    Keys are pins and the points where the tree branches. If the tree is ``worn``, only paths that
+    overflow are replaced.
     """
+    lattice, search, buffers = memory
     size = _list_part(lattice, search, buffers, root, i64(0))
     keys = i64(0)
     for i in range(size):
@@ -559,7 +568,6 @@ def mend(
         if buffers.pin[point] or _degree(lattice.tree[point]) > 2:
             buffers.key[keys] = point
             keys += 1
-    saved = i64(0)
     for place in range(keys * MOVES):
         key, move = buffers.key[place // MOVES], place % MOVES
         if not lattice.tree[key] >> move & 1:
@@ -569,47 +577,5 @@ def mend(
         end = _other_end(problem, routing.remaining, lattice, buffers, key, i64(move), worn)
         if end < 0 or _is_listed(buffers.key, place // MOVES, end):
             continue
-        # Remove the path from this key to the next.
-        point = key
-        while True:
-            saved += i64(lattice.cost[point, move])
-            lattice.tree[point] ^= np.uint8(1 << move)
-            point += lattice.stride[move]
-            lattice.tree[point] ^= np.uint8(1 << (move ^ 1))
-            if buffers.pin[point] or _degree(lattice.tree[point]) != 1:
-                break
-            move = 0
-            while not lattice.tree[point] >> move & 1:
-                move += 1
-        # Search from the larger of the two parts to the smaller, whose box is smaller, too.
-        near = _list_part(lattice, search, buffers, key, i64(0))
-        both = near
-        if not buffers.inside[point]:
-            both = _list_part(lattice, search, buffers, point, near)
-        if both > near:
-            first, last = near, both
-            if both - near > near:
-                for i in range(near):
-                    _extend_bounds(lattice, search, i64(1), search.start[i], i)
-                first, last = 0, near
-            for i in range(first, last):
-                search.goal[search.start[i]] = 1
-            for i in range(both):
-                buffers.inside[search.start[i]] = 0
-            starts = near
-            if first == 0:
-                # The goal's points are listed first: swap them with those that follow.
-                starts = both - near
-                for i in range(near):
-                    buffers.key[keys + i] = search.start[i]
-                for i in range(starts):
-                    search.start[i] = search.start[near + i]
-                for i in range(near):
-                    search.start[starts + i] = buffers.key[keys + i]
-            saved -= exact_tree(lattice, search, starts, i64(1), draw(routing.progress[0]))
-            for i in range(starts, both):
-                search.goal[search.start[i]] = 0
-        else:
-            for i in range(both):
-                buffers.inside[search.start[i]] = 0
-    return saved
+        point = _cut(lattice, buffers, key, i64(move))
+        _rejoin(routing, memory, key, point, keys)

@@ -19,6 +19,7 @@ from policies.routers.pathfinder.state import (
     DONE,
     POOL_TOO_SMALL,
     UNIT,
+    Memory,
     NetBuffers,
     ProblemArrays,
     Routing,
@@ -118,29 +119,21 @@ def _nearest(
 
 
 @compiled
-def route_pattern(
-    problem: ProblemArrays,
-    routing: Routing,
-    lattice: Lattice,
-    buffers: NetBuffers,
-    net: int,
-) -> int:
+def route_pattern(problem: ProblemArrays, routing: Routing, memory: Memory, net: int) -> int:
     """Gives a net a tree of patterns, unless it has one to begin with; puts its tree in place.
 
     Returns:
         DONE; or BOX_TOO_SMALL or POOL_TOO_SMALL, in which case the net is left as it was.
     """
-    progress = routing.progress[0]
+    lattice, buffers, progress = memory.lattice, memory.buffers, routing.progress[0]
     if routing.length[net] > 0:
         use_tree(problem, routing, net, i64(1))
         return DONE
-    points = set_box(
-        problem, routing, net, i64(0), problem.size[VIA_AXIS], buffers.low, lattice.size
-    )
+    points = set_box(problem, routing, memory, net, i64(0), problem.size[VIA_AXIS])
     if points > len(buffers.pin):
         progress.need = points
         return BOX_TOO_SMALL
-    if progress.top + points > routing.edge.shape[1]:
+    if progress.top + points > len(routing.edge):
         progress.need = progress.top + points
         return POOL_TOO_SMALL
     set_size(lattice, lattice.size[0], lattice.size[1], lattice.size[2])
@@ -161,12 +154,12 @@ def route_pattern(
             if pin < 0 or buffers.far[i] < buffers.far[pin]:
                 pin = i64(i)
         looked = size
-        size = _join(problem, routing, lattice, buffers, net, problem.pin[first + pin], size)
+        size = _join(problem, routing, memory, net, problem.pin[first + pin], size)
         buffers.far[pin] = -1
     for i in range(size):
         buffers.inside[buffers.key[i]] = 0
     size = list_tree(problem, lattice, buffers)
-    store_tree(routing, net, buffers.tree, i64(0), i64(0), size)
+    store_tree(routing, net, buffers.tree, i64(0), size)
     use_tree(problem, routing, net, i64(1))
     progress.routed += 1
     return DONE
@@ -174,15 +167,10 @@ def route_pattern(
 
 @compiled
 def _join(
-    problem: ProblemArrays,
-    routing: Routing,
-    lattice: Lattice,
-    buffers: NetBuffers,
-    net: int,
-    pin: int,
-    size: int,
+    problem: ProblemArrays, routing: Routing, memory: Memory, net: int, pin: int, size: int
 ) -> int:
     """Joins a pin's Gcell to the tree by an L; returns the tree's number of points."""
+    lattice, buffers = memory.lattice, memory.buffers
     point = point_of(problem.position, buffers.low, lattice.size, pin)
     if buffers.inside[point]:
         return size

@@ -12,7 +12,7 @@ Imaging and Vision 40, 2011), in so few iterations that they are near the optimu
 Sizes: C columns (trees), P places (wires of trees), E edges, N nets.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,14 +20,7 @@ from numpy.typing import NDArray
 from marouting.kernels import compiled, i64
 from marouting.problem.grid import AXES, VIA_AXIS
 from policies.routers.pathfinder.kernels import GOLDEN, mixed
-from policies.routers.pathfinder.state import (
-    NEGOTIATE,
-    RELAX,
-    UNIT,
-    Parameters,
-    ProblemArrays,
-    Routing,
-)
+from policies.routers.pathfinder.state import UNIT, ProblemArrays, Routing, widened
 
 _ITERATIONS, _LATER = 60, 20
 """Iterations of the linear program whenever prices are set, in the first round and in later ones:
@@ -78,14 +71,13 @@ class Dual(NamedTuple):
 @compiled
 def _collect(problem: ProblemArrays, routing: Routing, columns: Columns, begin: int) -> int:
     """Adds the nets' trees as columns from place ``begin`` on; returns the first without room."""
-    pool = routing.progress[0].pool
     for index in range(begin, len(routing.order)):
         net = routing.order[index]
         first = routing.start[net]
         last = first + routing.length[net]
         mark = i64(0)
         for i in range(first, last):
-            edge = i64(routing.edge[pool, i])
+            edge = i64(routing.edge[i])
             if edge % AXES == VIA_AXIS:
                 continue  # has no capacity
             mark += mixed((edge + 1) * np.int64(GOLDEN))
@@ -101,7 +93,7 @@ def _collect(problem: ProblemArrays, routing: Routing, columns: Columns, begin: 
             columns.share[column] = 1.0 if columns.latest[net] < 0 else 0.0
             columns.latest[net] = column
             for i in range(first, last):
-                edge = i64(routing.edge[pool, i])
+                edge = i64(routing.edge[i])
                 gcell = edge // AXES
                 if edge - AXES * gcell == VIA_AXIS:
                     continue
@@ -189,14 +181,22 @@ def _relax(columns: Columns, dual: Dual, iterations: int) -> float:
 
 
 class Relaxation:
-    """The linear program over the trees of a search."""
+    """The linear program over the trees of a search.
 
-    def __init__(
-        self, problem: ProblemArrays, parameters: Parameters, routing: Routing, worth: float
-    ) -> None:
+    Args:
+        problem: the problem.
+        routing: the search, as it begins.
+        worth: what the highest price adds to the cost of an edge, in edges.
+
+    Attributes:
+        scarce: whether the last prices tell where tracks are scarce.
+    """
+
+    def __init__(self, problem: ProblemArrays, routing: Routing, worth: float) -> None:
         nets, edges = len(problem.first) - 1, len(problem.capacity)
-        columns, places = _TREES * len(routing.order), _TREES * routing.edge.shape[1] // 4
-        self._problem, self._parameters, self._worth = problem, parameters, worth
+        columns, places = _TREES * len(routing.order), _TREES * len(routing.edge) // 4
+        self._problem, self._worth = problem, worth
+        self.scarce = True
         self._columns = Columns(
             filled=np.zeros(2, np.int64),
             held=np.full(nets, -1, np.int32),
@@ -222,36 +222,30 @@ class Relaxation:
         self._iterations = self._averaged = 0  # still to do; and in all, until prices are set
         _relax(self._columns, self._dual, 0)  # compiles
 
-    @property
-    def busy(self) -> bool:
-        """Whether :meth:`advance` has work to do before the next pass."""
-        return self._iterations > 0
+    def begin(self, *, first: bool) -> None:
+        """Begins to set prices, in the first round or in a later one."""
+        self._iterations = self._averaged = _ITERATIONS if first else _LATER
+        self._dual.total[:] = 0
 
-    def after_pass(self, routing: Routing) -> None:
-        """Takes note of the trees after a pass, and of what is to do before the next one."""
-        self._collect(routing)
-        progress = routing.progress[0]
-        if progress["kind"] == RELAX and progress["passes"] > 1 and progress["best_overflow"] > 0:
-            self._iterations = self._averaged = _LATER if progress["rounds"] else _ITERATIONS
-            self._dual.total[:] = 0
+    def advance(self, routing: Routing, labels: int) -> bool:
+        """Goes on setting prices, about as long as a search that opens so many labels.
 
-    def advance(self, routing: Routing, labels: int) -> None:
-        """Goes on setting prices; does about as much as a search that opens so many labels."""
-        columns, progress = self._columns, routing.progress[0]
+        Returns:
+            Whether prices are set, or stay what they were if tracks are not scarce.
+        """
+        columns = self._columns
         work = max(int(columns.filled[1]), 1)
         count = min(max(labels * _PLACES_PER_LABEL // work, 1), self._iterations)
         overflow = _relax(columns, self._dual, count)
         self._iterations -= count
-        if self._iterations == 0:
-            if overflow >= _LEAST:
-                routing.price[:] = self._dual.total * (self._worth * UNIT / self._averaged)
-                progress["present"] = self._parameters.present_factor
-            else:
-                progress["pricing"] = 0
-                if progress["rounds"] == 0:
-                    progress["kind"] = NEGOTIATE
+        if self._iterations > 0:
+            return False
+        self.scarce = overflow >= _LEAST
+        if self.scarce:
+            routing.price[:] = self._dual.total * (self._worth * UNIT / self._averaged)
+        return True
 
-    def _collect(self, routing: Routing) -> None:
+    def collect(self, routing: Routing) -> None:
         """Adds the nets' present trees."""
         begin = 0
         while begin < len(routing.order):
@@ -273,11 +267,6 @@ class Relaxation:
         if 2 * len(kept) > columns or 2 * np.count_nonzero(places) > size:
             columns, size = 2 * columns, 2 * size
 
-        def moved(row: NDArray[Any], size: int, values: NDArray[Any]) -> NDArray[Any]:
-            wider = np.empty(size, row.dtype)
-            wider[: len(values)] = values
-            return wider
-
         net = old.net[kept]
         latest, before = np.full_like(old.latest, -1), np.full(len(kept), -1, np.int32)
         by_net = np.argsort(net, kind="stable")
@@ -289,13 +278,13 @@ class Relaxation:
             filled=np.array([len(kept), first[-1]]),
             held=np.where(old.held >= 0, number[old.held], -1).astype(np.int32),
             latest=latest,
-            before=moved(old.before, columns, before),
-            net=moved(old.net, columns, net),
-            mark=moved(old.mark, columns, old.mark[kept]),
-            first=moved(old.first, columns + 1, first),
-            share=moved(old.share, columns, old.share[kept]),
+            before=widened(before, columns),
+            net=widened(net, columns),
+            mark=widened(old.mark[kept], columns),
+            first=widened(first, columns + 1),
+            share=widened(old.share[kept], columns),
             next_share=np.empty(columns),
-            edge=moved(old.edge, size, old.edge[: len(places)][places]),
-            take=moved(old.take, size, old.take[: len(places)][places]),
+            edge=widened(old.edge[: len(places)][places], size),
+            take=widened(old.take[: len(places)][places], size),
         )
         self._dual = self._dual._replace(values=np.empty(columns))

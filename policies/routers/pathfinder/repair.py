@@ -16,7 +16,6 @@ from policies.routers.pathfinder.state import (
     REPAIR,
     SQUEEZE,
     Memory,
-    Parameters,
     ProblemArrays,
     Routing,
 )
@@ -31,12 +30,12 @@ grows from one net to the next."""
 
 
 @compiled
-def repairable(problem: ProblemArrays, routing: Routing) -> int:
-    """How many nets overflow or take a detour; at least one."""
-    count = 0
+def begin_pass(problem: ProblemArrays, routing: Routing) -> None:
+    """Begins a pass, which reroutes as many nets as overflow or take a detour."""
+    progress, count = routing.progress[0], 0
     for net in routing.order:
         count += detours(problem, routing, net) or overflows(routing, net)
-    return max(count, 1)
+    progress.next = len(routing.order) - max(count, problem.least_repaired, 1)
 
 
 @compiled
@@ -63,7 +62,7 @@ def _displaced(routing: Routing, together: int, last: int) -> int:
     for k in range(together):
         net = routing.together[k, 0]
         for i in range(routing.start[net], routing.start[net] + routing.length[net]):
-            edge = i64(routing.edge[progress.pool, i])
+            edge = i64(routing.edge[i])
             if routing.remaining[edge] < 0:
                 ties += 1
                 if draw(progress) % ties == 0:
@@ -81,9 +80,7 @@ def _displaced(routing: Routing, together: int, last: int) -> int:
 
 
 @compiled
-def repair(
-    problem: ProblemArrays, parameters: Parameters, routing: Routing, memory: Memory
-) -> tuple[int, int]:
+def repair(problem: ProblemArrays, routing: Routing, memory: Memory) -> tuple[int, int]:
     """Reroutes some nets that displace each other; no worse solution comes of it.
 
     They negotiate without prices: it is these that have made the first one take its detour. When
@@ -110,7 +107,7 @@ def repair(
             routing.together[together, 1] = routing.start[net]
             routing.together[together, 2] = routing.length[net]
             together += 1
-        code = reroute(problem, parameters, routing, memory, net)
+        code = reroute(problem, routing, memory, net)
         routed += 1
         progress.present *= _GROWTH
         if routed > 1 and progress.overflow <= overflow:
@@ -121,7 +118,7 @@ def repair(
         for k in range(together):
             if code == DONE:
                 net = routing.together[k, 0]
-                code = reroute(problem, parameters, routing, memory, net)
+                code = reroute(problem, routing, memory, net)
     progress.kind, progress.present = REPAIR, present
     longer = progress.overflow == overflow and progress.length > length
     if code != DONE or progress.overflow > overflow or longer:

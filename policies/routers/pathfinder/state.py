@@ -4,6 +4,7 @@ Costs and lengths are whole numbers, in units of which an edge inside a layer ha
 Sizes: G Gcells, E edge numbers, N nets, Z layers (:mod:`marouting.problem.grid`).
 """
 
+import math
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -42,72 +43,32 @@ FIRST_BOX = 4096
 MOST_TOGETHER = 16
 """Nets that are rerouted together to repair a solution."""
 
-EARLY = 20
-"""A solution that is found in an earlier pass counts as found in this one when the search decides
-whether to go on: passes over few nets take next to no time."""
-
-LARGE = 5_000
-"""With more nets than these, negotiating begins with patterns; otherwise with shortest trees."""
-
-MANY = 20_000
-"""With more nets than these, they are planned in batches; otherwise they take turns."""
-
-SHARE = 64
-"""One net of so many, at most, is in a batch, so that few of them meet."""
-
-MOST_PLANNED = 1024
-"""Nets in a batch, at most."""
-
-_HISTORY_ROWS = 64  # passes after which the compiled code returns, at the latest
-
 Kind = Literal["relax", "negotiate", "squeeze", "repair", "pattern"]
 KINDS: tuple[Kind, ...] = ("relax", "negotiate", "squeeze", "repair", "pattern")
 RELAX, NEGOTIATE, SQUEEZE, REPAIR, PATTERN = range(len(KINDS))
 
-DISPLACE = -1
-"""No kind of pass: within a repairing pass, costs are as if all negotiated, but without prices."""
+DISPLACE, PRICES, RESTORE = -1, -2, -3
+"""No kinds of passes. DISPLACE: within a repairing pass, costs are as if all negotiated, but
+without prices. PRICES: the linear program sets prices. RESTORE: the best solution is put in
+place."""
 
-DONE, PAUSED, BOX_TOO_SMALL, POOL_TOO_SMALL = range(4)
-"""Why a call of compiled code returned."""
-
-EDGES, EXACT = range(2)
-"""Places in ``NetBuffers.plan``: number of edges of the new tree; whether no tree in the box is
-cheaper."""
+DONE, PAUSED, BOX_TOO_SMALL, POOL_TOO_SMALL = range(0, -4, -1)
+"""Why a call of compiled code returned. Numbers above 0 are results."""
 
 PROGRESS = np.dtype(
     [
         ("kind", np.int64),  # of the current pass: RELAX, NEGOTIATE, SQUEEZE, REPAIR or PATTERN
         ("next", np.int64),  # index in Routing.order of the next net
         ("routed", np.int64),  # nets rerouted in this pass
-        ("passes", np.int64),  # completed passes
-        ("large", np.int64),  # whether negotiating begins with the patterns
-        ("most", np.int64),  # nets in a batch, at most; 1: they take turns
-        ("stuck", np.int64),  # passes since the overflow last fell in this round
-        ("fewest", np.int64),  # least overflow in this round
-        ("since", np.int64),  # rounds (in the end repairing passes) since the last better solution
-        ("began", np.int64),  # completed passes when this round began
-        ("found", np.int64),  # completed passes when the best solution was found
         ("overflow", np.int64),  # of all edges, in tracks
         ("length", np.int64),  # of all trees, in units of cost
-        ("last_overflow", np.int64),  # before this pass
-        ("last_length", np.int64),
-        ("best_overflow", np.int64),
-        ("best_length", np.int64),
-        ("present", np.float64),  # factor for one net too many, now
-        ("pool", np.int64),  # which of the two pools in Routing.edge is in use
-        ("top", np.int64),  # end of the used part of that pool
+        ("present", np.float64),  # factor for one net too many, now; 0: nets share edges freely
+        ("top", np.int64),  # end of the used part of Routing.edge
         ("need", np.int64),  # the size required, after BOX_TOO_SMALL or POOL_TOO_SMALL
-        ("work", np.int64),  # labels to open before the caller looks at the clock
+        ("until", np.int64),  # the search looks at the clock when it has opened so many labels
         ("random", np.int64),  # state of the random numbers
         ("unproven", np.int64),  # nets whose ideal length may not be the shortest possible
-        ("proven", np.int64),  # whether the present solution is known to be the best
-        ("rounds", np.int64),  # completed rounds
-        ("pricing", np.int64),  # further relaxing passes of this round, each at new prices
-        ("crowding", np.float64),  # what an edge costs more when it is full, in edges
-        ("crowded_from", np.float64),  # the share of its capacity from which on it does
-        ("contest", np.int64),  # whether costs are those of ISPD 2024
         ("linked", np.int64),  # whether Routing.head leads to the users of every edge
-        ("history", np.int64),  # filled rows of Routing.history
     ],
     align=True,
 )
@@ -115,7 +76,7 @@ PROGRESS = np.dtype(
 
 
 class ProblemArrays(NamedTuple):
-    """The problem."""
+    """The problem, and the options that compiled code needs."""
 
     size: NDArray[np.int64]  # (3,) columns, rows, layers
     position: NDArray[np.int32]  # (G, 3) x, y, z of each Gcell
@@ -124,35 +85,18 @@ class ProblemArrays(NamedTuple):
     first: NDArray[np.int64]  # (N + 1,) a net's pins are pin[first[net] : first[net + 1]]
     pin: NDArray[np.int64]  # (pins,) their Gcells
     height: NDArray[np.int64]  # (Z,) what the vias up to a layer from the lowest one cost
+    exact_pins: int
+    margin: int
+    reroute_fraction: int  # in parts of 2^20
+    least_repaired: int  # nets that a repairing pass reroutes
+    crowding: float  # what an edge costs more when it is full, in edges
+    crowded_from: float  # the share of its capacity from which on it does
+    contest: bool  # whether costs are those of ISPD 2024
     # By the rules of ISPD 2024, in units of cost and in tracks; otherwise empty:
     wire: NDArray[np.int64]  # (2, columns or rows) along each axis a wire to the next Gcell
     overflow_cost: NDArray[np.float64]  # (Z,) of a Gcell that is just full
     tracks: NDArray[np.float64]  # (E,) capacities
     along: NDArray[np.int64]  # (Z,) the axis of each layer's wires
-
-
-class Parameters(NamedTuple):
-    """The options as numbers that the compiled code uses directly."""
-
-    exact_pins: int
-    margin: int
-    present_factor: float
-    present_growth: float
-    history_increment: float
-    history_decay: float
-    step_decay: float
-    stall_passes: int
-    min_overflow_drop: float
-    min_wirelength_gain: float
-    reroute_fraction: int  # in parts of 2^20
-    lp_after_pass: int
-    lp_passes: int
-    repair_after: int
-    overflow_stall_weight: int
-    repair_stall_passes: int
-    min_repair_fraction: float
-    patience_factor: int
-    passes: int
 
 
 class Routing(NamedTuple):
@@ -165,8 +109,8 @@ class Routing(NamedTuple):
     price: NDArray[np.float64]  # (E,) price from past overflow, in units of cost
     # (N,) length of the shortest tree so far (ISPD 2024: what the latest one cost); -1: none yet
     ideal: NDArray[np.int64]
-    edge: NDArray[np.int32]  # (2, pool) edges of the trees, in the pool in use
-    start: NDArray[np.int64]  # (N,) a net's edges are edge[pool, start : start + length]
+    edge: NDArray[np.int32]  # (pool,) edges of the trees
+    start: NDArray[np.int64]  # (N,) a net's edges are edge[start : start + length]
     length: NDArray[np.int64]  # (N,)
     head: NDArray[np.int32]  # (E,) an edge's users: the place in the pool of one of them; -1: none
     after: NDArray[np.int32]  # (pool,) the place of the next one
@@ -174,7 +118,6 @@ class Routing(NamedTuple):
     best: NDArray[np.int32]  # (pool,) edges of the best solution
     best_first: NDArray[np.int64]  # (N + 1,) a net's are best[best_first[n] : best_first[n + 1]]
     together: NDArray[np.int64]  # (MOST_TOGETHER, 3) nets repaired together, their old trees
-    history: NDArray[np.int64]  # (_HISTORY_ROWS, 4) kind, overflow, length, routed of new passes
 
 
 class NetBuffers(NamedTuple):
@@ -186,8 +129,7 @@ class NetBuffers(NamedTuple):
     inside: NDArray[np.uint8]  # (points,) 1 where a walk has been; all 0 between walks
     key: NDArray[np.int64]  # (2 points,) list of pins and branching points; of a pattern's points
     layers: NDArray[np.int64]  # (2, Z) what the wires of a pattern cost in every layer
-    plan: NDArray[np.int64]  # (2,) EDGES and EXACT
-    tree: NDArray[np.int32]  # (1, points) edges of the new tree
+    tree: NDArray[np.int32]  # (points,) edges of the new tree
 
 
 class Memory(NamedTuple):
@@ -196,13 +138,6 @@ class Memory(NamedTuple):
     lattice: Lattice
     search: Search
     buffers: NetBuffers
-
-
-def make_parameters(options: PathfinderOptions) -> Parameters:
-    """The options as numbers for the compiled code."""
-    values = {name: getattr(options, name) for name in Parameters._fields}
-    values["reroute_fraction"] = round(options.reroute_fraction * (1 << 20))
-    return Parameters(**values)
 
 
 def _height(problem: Problem, options: PathfinderOptions) -> NDArray[np.int64]:
@@ -238,7 +173,7 @@ def make_arrays(problem: Problem, options: PathfinderOptions) -> tuple[ProblemAr
     first, pin = problem.flat_pin_gcells
     grid = problem.topology
     check_memory(NEGOTIATION * grid.gcells, "negotiated congestion on a grid of {}", grid)
-    nets = len(problem.nets)
+    nets, routable = len(problem.nets), np.flatnonzero(np.diff(first) > 1)
     arrays = ProblemArrays(
         size=np.array(problem.grid, np.int64),
         position=grid.position,
@@ -247,23 +182,24 @@ def make_arrays(problem: Problem, options: PathfinderOptions) -> tuple[ProblemAr
         first=first,
         pin=pin,
         height=_height(problem, options),
+        exact_pins=options.exact_pins,
+        margin=options.margin,
+        reroute_fraction=round(options.reroute_fraction * (1 << 20)),
+        least_repaired=math.ceil(options.min_repair_fraction * len(routable)),
+        crowding=float(options.crowding),
+        crowded_from=float(options.crowded_from),
+        contest=False,
         wire=np.empty((2, 0), np.int64),
         overflow_cost=np.empty(0),
         tracks=np.empty(0),
         along=np.empty(0, np.int64),
     )
-    routable = np.flatnonzero(np.diff(first) > 1)
     # Short nets come first: they have fewer ways to choose from.
     low, high = problem.pin_boxes()
     extent = (high - low)[:, :VIA_AXIS].sum(axis=1)
     progress = np.zeros(1, PROGRESS)
     progress["random"] = options.seed
     progress["kind"] = PATTERN
-    progress["large"] = len(routable) > LARGE
-    batches = len(routable) > MANY
-    progress["most"] = min(len(routable) // SHARE, MOST_PLANNED) if batches else 1
-    progress["crowding"], progress["crowded_from"] = options.crowding, options.crowded_from
-    progress["best_overflow"] = progress["fewest"] = np.iinfo(np.int64).max
     pool = 4 * int(extent.sum()) + 4 * len(pin) + 1
     ideal = np.zeros(nets, np.int64)
     ideal[routable] = -1
@@ -274,7 +210,7 @@ def make_arrays(problem: Problem, options: PathfinderOptions) -> tuple[ProblemAr
         vias=np.empty(0),
         price=np.zeros(grid.edges),
         ideal=ideal,
-        edge=np.empty((2, pool), np.int32),
+        edge=np.empty(pool, np.int32),
         start=np.zeros(nets, np.int64),
         length=np.zeros(nets, np.int64),
         head=np.empty(grid.edges, np.int32),
@@ -283,12 +219,11 @@ def make_arrays(problem: Problem, options: PathfinderOptions) -> tuple[ProblemAr
         best=np.empty(pool, np.int32),
         best_first=np.zeros(nets + 1, np.int64),
         together=np.zeros((MOST_TOGETHER, 3), np.int64),
-        history=np.empty((_HISTORY_ROWS, 4), np.int64),
     )
     return arrays, routing
 
 
-def make_memory(problem: ProblemArrays, exact_pins: int, points: int) -> Memory:
+def make_memory(problem: ProblemArrays, points: int) -> Memory:
     """Working memory for boxes of at most ``points`` points."""
     buffers = NetBuffers(
         low=np.zeros(AXES, np.int64),
@@ -297,18 +232,11 @@ def make_memory(problem: ProblemArrays, exact_pins: int, points: int) -> Memory:
         inside=np.zeros(points, np.uint8),
         key=np.empty(2 * points, np.int64),
         layers=np.zeros((2, problem.size[VIA_AXIS]), np.int64),
-        plan=np.zeros(2, np.int64),
-        tree=np.empty((1, points), np.int32),
+        tree=np.empty(points, np.int32),
     )
     lattice = make_lattice(points, int(problem.size.max()))
-    search = make_search(points, max(points, EXACT_LABELS), exact_pins - 1)
+    search = make_search(points, max(points, EXACT_LABELS), problem.exact_pins - 1)
     return Memory(lattice, search, buffers)
-
-
-def present_solution(problem: Problem, routing: Routing) -> Solution:
-    """The trees that the nets have now."""
-    pool = routing.edge[routing.progress[0]["pool"]]
-    return solution_of(problem, pool, routing.start, routing.length)
 
 
 def solution_of(
@@ -325,10 +253,9 @@ def solution_of(
 
 def with_larger_pool(routing: Routing, size: int) -> Routing:
     """The routing with room for ``size`` edges in each pool; its other arrays are shared."""
-    rows = np.stack([routing.best, routing.after, routing.owner])
-    best, after, owner = widened(rows, size)
-    edge = widened(routing.edge, size)
-    return routing._replace(edge=edge, best=best, after=after, owner=owner)
+    pools = routing.edge, routing.after, routing.owner, routing.best
+    edge, after, owner, best = (widened(pool, size) for pool in pools)
+    return routing._replace(edge=edge, after=after, owner=owner, best=best)
 
 
 def with_trees(routing: Routing, solution: Solution) -> Routing:
@@ -341,14 +268,14 @@ def with_trees(routing: Routing, solution: Solution) -> Routing:
     routing.start[:] = np.cumsum(routing.length) - routing.length
     size = int(np.count_nonzero(taken))
     routing.progress["top"] = size
-    if size > routing.edge.shape[1]:
+    if size > len(routing.edge):
         routing = with_larger_pool(routing, 2 * size)
-    routing.edge[0, :size] = edge[taken]
+    routing.edge[:size] = edge[taken]
     return routing
 
 
-def widened(rows: NDArray[np.int32], size: int) -> NDArray[np.int32]:
-    """The same rows with room for ``size`` numbers in each."""
-    wider = np.empty((len(rows), size), np.int32)
-    wider[:, : rows.shape[1]] = rows
+def widened(row: NDArray[Any], size: int) -> NDArray[Any]:
+    """The same numbers with room for ``size`` of them."""
+    wider = np.empty(size, row.dtype)
+    wider[: len(row)] = row
     return wider

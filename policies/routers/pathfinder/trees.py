@@ -28,8 +28,6 @@ from policies.routers.pathfinder.state import (
     BOX_TOO_SMALL,
     DISPLACE,
     DONE,
-    EDGES,
-    EXACT,
     EXACT_LABELS,
     FULL,
     LAYERS,
@@ -40,7 +38,6 @@ from policies.routers.pathfinder.state import (
     RELAX,
     Memory,
     NetBuffers,
-    Parameters,
     ProblemArrays,
     Routing,
 )
@@ -56,21 +53,20 @@ def use_tree(problem: ProblemArrays, routing: Routing, net: int, sign: int) -> N
         else:
             unlink(routing, net)
     for i in range(routing.start[net], routing.start[net] + routing.length[net]):
-        edge = i64(routing.edge[progress.pool, i])
+        edge = i64(routing.edge[i])
         gcell = edge // AXES
         if edge - AXES * gcell == VIA_AXIS:
             progress.length += sign * via_cost(problem, gcell)
-            if progress.contest:
+            if problem.contest:
                 _use_via(problem, routing, net, gcell, sign)
             continue
-        progress.length += sign * wire_cost(problem, routing, edge) - use_cost(
-            problem, routing, edge, i64(0)
-        )
+        progress.length += sign * wire_cost(problem, edge)
+        progress.length -= use_cost(problem, routing, edge, i64(0))
         over = max(-routing.remaining[edge], 0)
         layer = problem.position[gcell, VIA_AXIS]
         routing.remaining[edge] -= sign * i64(problem.demand[net, layer])
         progress.length += use_cost(problem, routing, edge, i64(0))
-        if not progress.contest:
+        if not problem.contest:
             progress.overflow += max(-routing.remaining[edge], 0) - over
 
 
@@ -79,7 +75,7 @@ def _use_via(problem: ProblemArrays, routing: Routing, net: int, gcell: int, sig
     """Adds the tracks that a via of a net's tree takes beside its lower Gcell, or removes them."""
     progress, first = routing.progress[0], i64(routing.start[net])
     last = first + routing.length[net]
-    if not is_stacked(problem, routing.edge, i64(progress.pool), first, last, gcell):
+    if not is_stacked(problem, routing.edge, first, last, gcell):
         return
     for side in range(2):
         beside, halves = beside_via(problem, gcell, side)
@@ -93,7 +89,7 @@ def _use_via(problem: ProblemArrays, routing: Routing, net: int, gcell: int, sig
 def link(routing: Routing, net: int) -> None:
     """Puts a net's edges into the lists that lead from an edge to all nets that use it."""
     for i in range(routing.start[net], routing.start[net] + routing.length[net]):
-        edge = routing.edge[routing.progress[0].pool, i]
+        edge = routing.edge[i]
         routing.owner[i], routing.after[i] = net, routing.head[edge]
         routing.head[edge] = i
 
@@ -102,7 +98,7 @@ def link(routing: Routing, net: int) -> None:
 def unlink(routing: Routing, net: int) -> None:
     """Takes a net's edges out of these lists."""
     for i in range(routing.start[net], routing.start[net] + routing.length[net]):
-        edge = routing.edge[routing.progress[0].pool, i]
+        edge = routing.edge[i]
         if routing.head[edge] == i:
             routing.head[edge] = routing.after[i]
             continue
@@ -127,11 +123,11 @@ def tree_length(problem: ProblemArrays, routing: Routing, net: int) -> int:
     """The length of a net's tree, in units of cost."""
     length = i64(0)
     for i in range(routing.start[net], routing.start[net] + routing.length[net]):
-        edge = i64(routing.edge[routing.progress[0].pool, i])
+        edge = i64(routing.edge[i])
         if edge % AXES == VIA_AXIS:
             length += via_cost(problem, edge // AXES)
         else:
-            length += wire_cost(problem, routing, edge)
+            length += wire_cost(problem, edge)
     return length
 
 
@@ -139,28 +135,37 @@ def tree_length(problem: ProblemArrays, routing: Routing, net: int) -> int:
 def overflows(routing: Routing, net: int) -> bool:
     """Whether a net's tree uses an overflowed edge."""
     for i in range(routing.start[net], routing.start[net] + routing.length[net]):
-        if routing.remaining[routing.edge[routing.progress[0].pool, i]] < 0:
+        if routing.remaining[routing.edge[i]] < 0:
             return True
     return False
 
 
 @compiled
+def _copy_trees(routing: Routing, edges: Any, first: Any) -> int:
+    """Copies all trees to ``edges``, without gaps, from ``first`` on; returns their edges."""
+    size = i64(0)
+    for net in range(len(routing.start)):
+        begin = routing.start[net]
+        first[net] = size
+        for i in range(routing.length[net]):
+            edges[size + i] = routing.edge[begin + i]
+        size += routing.length[net]
+    return size
+
+
+@compiled
 def compact(routing: Routing) -> bool:
-    """Copies the trees into the other pool, without gaps; returns whether there were any."""
+    """Closes the gaps between the trees; returns whether there were any."""
     progress = routing.progress[0]
     used = 0
     for net in range(len(routing.length)):
         used += routing.length[net]
     if used == progress.top:
         return False
-    old, progress.pool, progress.top = progress.pool, 1 - progress.pool, 0
-    for net in range(len(routing.start)):
-        for i in range(routing.length[net]):
-            routing.edge[progress.pool, progress.top + i] = routing.edge[
-                old, routing.start[net] + i
-            ]
-        routing.start[net] = progress.top
-        progress.top += routing.length[net]
+    edges = routing.after  # is made anew at the end
+    progress.top = _copy_trees(routing, edges, routing.start)
+    for i in range(progress.top):
+        routing.edge[i] = edges[i]
     if progress.linked:
         link_all(routing)
     return True
@@ -176,19 +181,19 @@ def list_tree(problem: ProblemArrays, lattice: Lattice, buffers: NetBuffers) -> 
             for z in range(lattice.size[2]):
                 for axis in range(AXES):
                     if lattice.tree[point] >> 2 * axis & 1:
-                        buffers.tree[0, size] = AXES * (gcell + z) + axis
+                        buffers.tree[size] = AXES * (gcell + z) + axis
                         size += 1
                 point += 1
     return size
 
 
 @compiled
-def store_tree(routing: Routing, net: int, edges: Any, row: int, first: int, last: int) -> None:
-    """Makes ``edges[row, first:last]`` the net's tree."""
+def store_tree(routing: Routing, net: int, edges: Any, first: int, last: int) -> None:
+    """Makes ``edges[first:last]`` the net's tree."""
     progress = routing.progress[0]
     routing.start[net] = progress.top
     for i in range(first, last):
-        routing.edge[progress.pool, progress.top] = edges[row, i]
+        routing.edge[progress.top] = edges[i]
         progress.top += 1
     routing.length[net] = last - first
 
@@ -196,70 +201,67 @@ def store_tree(routing: Routing, net: int, edges: Any, row: int, first: int, las
 @compiled
 def present_cost(problem: ProblemArrays, routing: Routing, net: int, own: int) -> int:
     """The cost of a net's tree to the net, which is in place (``own`` 1) or ripped up (0)."""
-    first, pool = i64(routing.start[net]), i64(routing.progress[0].pool)
+    first = i64(routing.start[net])
     last = first + routing.length[net]
-    return tree_cost(problem, routing, net, routing.edge, pool, first, last, own)
+    return tree_cost(problem, routing, net, routing.edge, first, last, own)
 
 
 @compiled
 def detours(problem: ProblemArrays, routing: Routing, net: int) -> bool:
     """Whether a net's tree is longer than its shortest one; ISPD 2024: dearer than when chosen."""
-    if routing.progress[0].contest:
+    if problem.contest:
         return present_cost(problem, routing, net, i64(1)) > routing.ideal[net]
     return tree_length(problem, routing, net) > routing.ideal[net]
 
 
 @compiled
-def is_settled(problem: ProblemArrays, parameters: Parameters, routing: Routing, net: int) -> bool:
+def is_settled(problem: ProblemArrays, routing: Routing, net: int) -> bool:
     """Whether a net keeps its tree without a search: none can be cheaper, and no lot fell on it."""
     if routing.ideal[net] < present_cost(problem, routing, net, i64(1)):
         return False
-    return draw(routing.progress[0]) % (1 << 20) >= parameters.reroute_fraction
+    return draw(routing.progress[0]) % (1 << 20) >= problem.reroute_fraction
 
 
 @compiled
-def plan(
-    problem: ProblemArrays, parameters: Parameters, routing: Routing, memory: Memory, net: int
-) -> int:
+def plan(problem: ProblemArrays, routing: Routing, memory: Memory, net: int) -> tuple[int, bool]:
     """Looks for a cheapest tree for a net, with the trees of all others in place.
 
-    The net's own tree stays in place, and its tracks are free for the new one. All changes are to
-    working memory: the tree's edges are in ``buffers.tree``, and ``buffers.plan``
-    tells about it.
+    The net's own tree stays in place, and its tracks are free for the new one. The edges of the new
+    one are put in ``buffers.tree``.
 
     Returns:
-        DONE; or BOX_TOO_SMALL.
+        How many edges it has, or BOX_TOO_SMALL; and whether no tree in the box is cheaper.
     """
     lattice, search, buffers = memory
     progress = routing.progress[0]
     pins = problem.first[net + 1] - problem.first[net]
-    margin, layers, limit = parameters.margin, i64(LAYERS), i64(FULL)
+    margin, layers, limit = problem.margin, i64(LAYERS), i64(FULL)
     while True:
-        points = set_box(problem, routing, net, margin, layers, buffers.low, lattice.size)
+        points = set_box(problem, routing, memory, net, margin, layers)
         if points > len(buffers.pin):
             progress.need = points
-            return BOX_TOO_SMALL
-        set_costs(problem, routing, lattice, buffers.low, net, limit)
+            return i64(BOX_TOO_SMALL), False
+        set_costs(problem, routing, memory, net, limit)
         search.tally[1] += points
         exact = True
         quick = progress.kind == NEGOTIATE or progress.kind == DISPLACE
         labels = NEGOTIATED_LABELS if quick else EXACT_LABELS
-        if pins == 2 or (pins <= parameters.exact_pins and points << (pins - 1) <= labels):
-            cost = join_all(problem, progress, lattice, search, buffers.low, net)
+        if pins == 2 or (pins <= problem.exact_pins and points << (pins - 1) <= labels):
+            cost = join_all(problem, routing, memory, net)
         else:
             worn = (
                 progress.kind == NEGOTIATE
                 and draw(progress) % 100 < MENDED
-                and load_tree(problem, routing, lattice, buffers.low, net)
+                and load_tree(problem, routing, memory, net)
             )
             cost = i64(0)
             if not worn:
-                cost = grow(problem, progress, lattice, search, buffers, net)
+                cost = grow(problem, routing, memory, net)
             if cost != CLOSED:
                 for i in range(problem.first[net], problem.first[net + 1]):
                     point = point_of(problem.position, buffers.low, lattice.size, problem.pin[i])
                     buffers.pin[point] = 1
-                mend(problem, routing, lattice, search, buffers, i64(point), worn)
+                mend(problem, routing, memory, i64(point), worn)
                 exact = False
                 for i in range(problem.first[net], problem.first[net + 1]):
                     point = point_of(problem.position, buffers.low, lattice.size, problem.pin[i])
@@ -271,9 +273,8 @@ def plan(
         margin, layers = 2 * margin + 1, problem.size[VIA_AXIS]
     # What is cheapest is also shortest only where edges in use cost no more than others.
     exact = exact and lattice.size[VIA_AXIS] == problem.size[VIA_AXIS]
-    exact = exact and progress.crowding == 0
-    buffers.plan[EDGES], buffers.plan[EXACT] = list_tree(problem, lattice, buffers), i64(exact)
-    return DONE
+    exact = exact and problem.crowding == 0
+    return list_tree(problem, lattice, buffers), exact
 
 
 @compiled
@@ -281,28 +282,27 @@ def adopt(
     problem: ProblemArrays,
     routing: Routing,
     net: int,
-    plan: Any,
     edges: Any,
-    row: int,
     first: int,
+    last: int,
+    exact: bool,
 ) -> int:
-    """Carries out a plan: gives a net its new tree, unless that costs more than the present one.
+    """Gives a net its new tree, ``edges[first:last]``, unless that costs more than the present one.
 
     Returns:
         DONE; or POOL_TOO_SMALL, in which case the net is left as it was.
     """
     progress = routing.progress[0]
-    last = first + plan[EDGES]
-    if progress.top + plan[EDGES] > routing.edge.shape[1]:
-        progress.need = progress.top + plan[EDGES]
+    if progress.top + last - first > len(routing.edge):
+        progress.need = progress.top + last - first
         return POOL_TOO_SMALL
     use_tree(problem, routing, net, i64(-1))
-    cost = tree_cost(problem, routing, net, edges, row, first, last, i64(0))
+    cost = tree_cost(problem, routing, net, edges, first, last, i64(0))
     if cost <= present_cost(problem, routing, net, i64(0)):
-        store_tree(routing, net, edges, row, first, last)
+        store_tree(routing, net, edges, first, last)
     ideal = i64(routing.ideal[net])
-    progress.unproven += ideal < 0 and not (plan[EXACT] and progress.kind == RELAX)
-    if progress.contest:
+    progress.unproven += ideal < 0 and not (exact and progress.kind == RELAX)
+    if problem.contest:
         routing.ideal[net] = present_cost(problem, routing, net, i64(0))
     else:
         length = tree_length(problem, routing, net)
@@ -313,43 +313,25 @@ def adopt(
 
 
 @compiled
-def reroute(
-    problem: ProblemArrays, parameters: Parameters, routing: Routing, memory: Memory, net: int
-) -> int:
+def reroute(problem: ProblemArrays, routing: Routing, memory: Memory, net: int) -> int:
     """Plans a net's tree and carries the plan out, unless the net is settled.
 
     Returns:
         DONE; or BOX_TOO_SMALL or POOL_TOO_SMALL, in which case the net is left as it was.
     """
-    if is_settled(problem, parameters, routing, net):
+    if is_settled(problem, routing, net):
         return DONE
-    code = plan(problem, parameters, routing, memory, net)
-    if code != DONE:
-        return code
-    buffers = memory.buffers
-    return adopt(problem, routing, net, buffers.plan, buffers.tree, i64(0), i64(0))
+    size, exact = plan(problem, routing, memory, net)
+    if size == BOX_TOO_SMALL:
+        return BOX_TOO_SMALL
+    return adopt(problem, routing, net, memory.buffers.tree, i64(0), size, exact)
 
 
 @compiled
-def keep_best(routing: Routing) -> bool:
-    """Copies the trees to ``routing.best`` if they are the best so far; returns whether they are.
-
-    Less overflow is better, then less length.
-    """
-    progress = routing.progress[0]
-    if progress.overflow > progress.best_overflow or (
-        progress.overflow == progress.best_overflow and progress.length >= progress.best_length
-    ):
-        return False
-    progress.best_overflow, progress.best_length = progress.overflow, progress.length
-    size = 0
-    for net in range(len(routing.start)):
-        routing.best_first[net] = size
-        for i in range(routing.length[net]):
-            routing.best[size + i] = routing.edge[progress.pool, routing.start[net] + i]
-        size += routing.length[net]
+def keep_best(routing: Routing) -> None:
+    """Copies the trees to ``routing.best``."""
+    size = _copy_trees(routing, routing.best, routing.best_first)
     routing.best_first[len(routing.start)] = size
-    return True
 
 
 @compiled
@@ -362,7 +344,7 @@ def load_best(problem: ProblemArrays, routing: Routing) -> None:
     for net in range(len(routing.start)):
         routing.start[net] = progress.top
         for i in range(routing.best_first[net], routing.best_first[net + 1]):
-            routing.edge[progress.pool, progress.top] = routing.best[i]
+            routing.edge[progress.top] = routing.best[i]
             progress.top += 1
         routing.length[net] = progress.top - routing.start[net]
         use_tree(problem, routing, net, i64(1))

@@ -1,7 +1,7 @@
 """Cutting: from a solution of a whole chip to the problems of its regions, and back."""
 
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple, Self
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,11 +77,6 @@ class Piece(NamedTuple):
     edge: NDArray[np.int32]
     priced: NDArray[np.int32]
     price: NDArray[np.float32]
-
-    @property
-    def size(self) -> int:
-        """The bytes of its arrays."""
-        return sum(part.nbytes for part in self if isinstance(part, np.ndarray))
 
     def problem(self) -> Problem:
         """The problem; a Gcell is a unit wide."""
@@ -387,6 +382,11 @@ def joined(
         uses.append(new_net * size + chip_edges(problem, box, new_edge))
     together = np.unique(np.concatenate((net[kept] * size + edge[kept], *uses)))
     return Solution.of_uses(problem, *np.divmod(together, size))
+
+
+def size_of(pieces: Iterable[tuple[Any, ...]]) -> int:
+    """The bytes of all arrays of some pieces, or of what comes back."""
+    return sum(part.nbytes for piece in pieces for part in piece if isinstance(part, np.ndarray))
 
 
 def figures(solution: Solution) -> tuple[int, int]:

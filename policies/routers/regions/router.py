@@ -23,13 +23,12 @@ from policies.routers.regions.cutting import (
     cut,
     figures,
     joined,
+    size_of,
 )
 
 Stop = Literal["done", "asked", "small"]
 """Why a search ended: everything was negotiated; somebody asked it to stop; or the chip was so
 small that it was routed in one piece."""
-
-_DONE: Stop = "done"
 
 _PASSES = 6
 """Passes that every region makes in the first steps."""
@@ -151,23 +150,18 @@ class RegionsRouter:
     def solve(self, problem: Problem) -> Routed:
         """Routes a problem like :meth:`route` and tells how the solution was found."""
         options = self.options
-        began = time.thread_time()
         patterns = PathfinderOptions(passes=1, seconds=None, seed=options.seed)
-        solution = PathfinderRouter(patterns).route(problem)
-        spent = time.thread_time() - began
-        history = [Step("patterns", *figures(solution), "", (), spent, spent, 0, 0)]
+        solution, step = self._in_one_piece(problem, "patterns", patterns)
+        history = [step]
         axes = [axis for axis in range(VIA_AXIS) if problem.grid[axis] >= 2 * LEAST]
         if options.regions == 1 or not axes:
-            whole = PathfinderRouter(PathfinderOptions(seconds=options.seconds, seed=options.seed))
-            whole.watch = self.watch
-            began = time.thread_time()
-            solution = whole.route(problem)
-            spent = time.thread_time() - began
-            history.append(Step("one piece", *figures(solution), "", (), spent, spent, 0, 0))
-            return Routed(solution, tuple(history), "small")
+            whole = PathfinderOptions(seconds=options.seconds, seed=options.seed)
+            solution, step = self._in_one_piece(problem, "one piece", whole)
+            return Routed(solution, (*history, step), "small")
         state = State(solution, np.zeros(problem.topology.edges, np.float32), 0.0)
         rest = options.seconds
-        passes, settled, stop, calm = _PASSES, 0, _DONE, True
+        passes, settled, calm = _PASSES, 0, True
+        stop: Stop = "done"
         with opened(options.engine, min(options.regions, cores()), 1) as engine:
             # At calm lines every net can spread. Even lines keep all regions at work.
             while settled < len(axes) and (rest is None or rest > 0):
@@ -196,6 +190,17 @@ class RegionsRouter:
                 if rest is not None:
                     rest -= step.processor_seconds
         return Routed(state.solution.pruned(), tuple(history), stop)
+
+    def _in_one_piece(
+        self, problem: Problem, kind: str, options: PathfinderOptions
+    ) -> tuple[Solution, Step]:
+        """Routes the whole chip in this process."""
+        router = PathfinderRouter(options)
+        router.watch = self.watch
+        began = time.thread_time()
+        solution = router.route(problem)
+        spent = time.thread_time() - began
+        return solution, Step(kind, *figures(solution), "", (), spent, spent, 0, 0)
 
     def _negotiated(
         self,
@@ -249,8 +254,8 @@ class RegionsRouter:
             division.lines,
             sum(spent),
             max(spent, default=0.0),
-            sum(pieces[region][0].size for region in regions),
-            sum(part.size for part in parts.values()),
+            size_of(pieces[region][0] for region in regions),
+            size_of(parts.values()),
         )
         ended = all(part.ended for part in parts.values())
         return State(solution, prices, present), step, None if asked else ended
@@ -278,11 +283,6 @@ class Part(NamedTuple):
     overflow: int
     ended: bool
     seconds: float
-
-    @property
-    def size(self) -> int:
-        """The bytes of its arrays."""
-        return sum(part.nbytes for part in self if isinstance(part, np.ndarray))
 
 
 def negotiate(piece: Piece, present: float, passes: int, seconds: float | None, seed: int) -> Part:
