@@ -44,10 +44,14 @@ def trained() -> tuple[dict[str, Rows], dict[str, float]]:
     return found, rules
 
 
+def reward_of(row: str) -> str:
+    """What a row is paid for: ``LEARNER-REWARD``, or ``LEARNER-REWARD-cloned``."""
+    return row.split("-")[1]
+
+
 def order(row: str) -> tuple[int, str]:
     """Rows with the same reward stand together."""
-    learner, _, reward = row.partition("-")
-    return list(COLOURS).index(reward), learner
+    return list(COLOURS).index(reward_of(row)), row
 
 
 def told(costs: list[float]) -> str:
@@ -78,7 +82,7 @@ def draw(axes: Axes, scenario: str, rows: Rows, rule: float) -> None:
     """A panel: the costs of the seeds of each row."""
     names = sorted(rows, key=order)
     for at, name in enumerate(names):
-        colour = COLOURS[name.partition("-")[2]]
+        colour = COLOURS[reward_of(name)]
         for budget, costs in rows[name].items():
             long = budget == max(BUDGETS)
             aside = 0 if len(rows[name]) == 1 else 0.15 if long else -0.15
@@ -88,7 +92,8 @@ def draw(axes: Axes, scenario: str, rows: Rows, rule: float) -> None:
     axes.axhline(rule, color=INK, linestyle=":", linewidth=1, zorder=1)
     axes.axhline(1, color=INK, linewidth=1, zorder=1)
     axes.set_xlim(-0.5, len(names) - 0.5)
-    axes.set_xticks(range(len(names)), [name.replace("-", "\n") for name in names], fontsize=7)
+    labels = [name.replace("-", "\n").replace("counterf", "counter-\nf") for name in names]
+    axes.set_xticks(range(len(names)), labels, fontsize=7)
     axes.set_title(scenario, fontsize=10, color=INK)
     axes.tick_params(axis="y", labelsize=8)
     for side in ("top", "right"):
