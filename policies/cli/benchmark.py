@@ -53,7 +53,7 @@ OUT = Path("runs/benchmark")
 @click.option(
     "--config",
     type=FILE,
-    help="YAML file of more routers, by name.  [default, without --router: "
+    help="YAML file of more routers, by name.  [default: without --router "
     "configs/benchmark/baselines.yaml, routers that do not learn; in scenarios of "
     "docs/cooperation.md configs/benchmark/rules.yaml, fixed rules]",
 )
