@@ -194,8 +194,16 @@ def check_rows(
 
 
 def as_int32(*arrays: NDArray[np.integer]) -> tuple[NDArray[np.int32], ...]:
-    """The arrays as contiguous int32: a kernel is compiled once more for every other type."""
-    return tuple(np.ascontiguousarray(array, np.int32) for array in arrays)
+    """The arrays as contiguous int32: a kernel is compiled once more for every other type.
+
+    Raises:
+        ValueError: a number does not fit.
+    """
+    found = tuple(np.ascontiguousarray(array, np.int32) for array in arrays)
+    for array, whole in zip(arrays, found, strict=True):
+        if array.dtype != np.int32 and (array != whole).any():
+            raise ValueError(f"expected numbers of 32 bits, found {array}")
+    return found
 
 
 def check_shapes(

@@ -460,6 +460,9 @@ def test_rows_in_any_order_and_rows_of_nobody() -> None:
     for bad in (engine.nets.shape[1], -2):
         with pytest.raises(ValueError, match="expected agents of the games"):
             window.write(engine, np.array([0]), np.array([bad]), out[:1])
+    far = np.array([0, 2**32])  # in 32 bits it would be agent 0
+    with pytest.raises(ValueError, match="expected numbers of 32 bits"):
+        window.write(engine, np.array([0, 0]), far, out[:2])
     with pytest.raises(ValueError, match="expected integers for 2 rows of"):
         window.write(engine, problems[:1], agents[:1], out[:2])
 

@@ -87,7 +87,8 @@ def place(at: int, here: int, reach: int, along: int, forward: int) -> int:
 
 
 MOST_RADIUS = 30
-"""So a column of a window has at most 62 numbers; see :func:`_write_block`."""
+"""The largest radius. A column of the window then has 62 numbers, and :func:`_write_block` counts
+them in the bits of one int64."""
 
 # --- channels -------------------------------------------------------------------------------------
 

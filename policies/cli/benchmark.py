@@ -22,6 +22,7 @@ RULES = BASELINES.with_name("rules.yaml")
 """The same in scenarios of docs/cooperation.md."""
 
 OUT = Path("runs/benchmark")
+"""The default of --out where no learner is trained for the scenario."""
 
 
 @click.command()
@@ -53,7 +54,7 @@ OUT = Path("runs/benchmark")
 @click.option(
     "--config",
     type=FILE,
-    help="YAML file of more routers, by name.  [default: without --router "
+    help="YAML file of more routers, by name.  [default: without --router, "
     "configs/benchmark/baselines.yaml, routers that do not learn; in scenarios of "
     "docs/cooperation.md configs/benchmark/rules.yaml, fixed rules]",
 )
