@@ -193,6 +193,21 @@ def check_writable(path: str | os.PathLike[str]) -> None:
         raise Checked
 
 
+def check_apart(out: str | os.PathLike[str], *read: str | os.PathLike[str]) -> None:
+    """Raises InputError if a file to be written is one of those that are read."""
+    if any(exists(path) and exists(out) and Path(path).samefile(out) for path in read):
+        raise InputError(f"{os.fspath(out)}: expected another file: this one is read")
+
+
+_ONLY_READ = (".def", ".lef", ".cap", ".net", ".segs")
+
+
+def check_suffix(path: str | os.PathLike[str], *others: str) -> None:
+    """Raises InputError for the suffix of a format that is only read, or of ``others``."""
+    if (suffix := suffix_of(path)) in (*_ONLY_READ, *others):
+        raise InputError(f"{os.fspath(path)}: expected another suffix: {suffix} is not written")
+
+
 def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Writes ``text`` to ``path`` as UTF-8, whole or not at all; raises InputError if it cannot.
 

@@ -93,6 +93,12 @@ def interruptible() -> Iterator[None]:
         _work = None
 
 
+ENDING = [
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+]  # Windows has no SIGHUP
+"""The signals by which people, batch queues and terminals end a job."""
+
+
 class Held:
     """Signals that have come and are held back.
 
@@ -105,10 +111,16 @@ class Held:
         self.numbers: list[int] = []
         self.begun = False
 
+    def leave(self) -> None:
+        """Ends the process, with a signal's usual status, if one has come that is not Ctrl-C."""
+        for number in self.numbers:
+            if number != signal.SIGINT:
+                raise SystemExit(128 + number)
+
 
 @contextlib.contextmanager
 def holding(*numbers: int, tell: Callable[[], object] = bool) -> Iterator[Held]:
-    """Holds Ctrl-C and SIGTERM back, for the work to end well; a second one ends it at once.
+    """Holds signals back, for the work to end well; a second one ends it at once.
 
     Args:
         *numbers: the signals. One with another handler than the usual one is somebody else's.

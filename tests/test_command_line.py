@@ -1,7 +1,9 @@
 """What all commands have in common: --json with stable keys, times, completion, messages."""
 
+import contextlib
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -17,6 +19,7 @@ import marouting
 from marouting import Problem, Solution
 from policies.cli.main import cli, status
 from policies.experiment import Experiment, load_experiment
+from policies.interrupts import ENDING
 
 QUIET = ("train.figures=false", "train.tensorboard=false", "learner.burn_in_size=100")
 ROUTED = {
@@ -151,39 +154,89 @@ def test_a_route_that_takes_long_says_so(
 
 
 class Patient:
-    """Would never end; somebody presses Ctrl-C."""
+    """Would never end; somebody sends a signal."""
 
     watch: Callable[[str], bool] | None = None
+    sent = signal.SIGINT
 
     def route(self, problem: Problem) -> Solution:
         if self.watch is None:  # to be ready
             return marouting.sequential_astar(problem)
         assert not self.watch("one of many")
-        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(self.sent)
         while not self.watch("two of many"):
             time.sleep(0.01)
         return marouting.sequential_astar(problem)
 
 
 @pytest.mark.usefixtures("here")
-def test_ctrl_c_ends_a_route_with_the_best_so_far(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("sent", ENDING)
+def test_a_signal_ends_a_route_with_the_best_so_far(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, sent: signal.Signals
 ) -> None:
     monkeypatch.setattr("policies.cli.progress._OFTEN", 0.0)
+    monkeypatch.setattr(Patient, "sent", sent)
     router = f"{__name__}:Patient"
     # As in a terminal: a test run in the background inherits that Ctrl-C is ignored.
-    inherited = signal.signal(signal.SIGINT, signal.default_int_handler)
+    usual = signal.default_int_handler if sent == signal.SIGINT else signal.SIG_DFL
+    inherited = signal.signal(sent, usual)
+    ended = pytest.raises(SystemExit) if sent != signal.SIGINT else contextlib.nullcontext()
     try:
-        assert status(["route", "p.gr", "--router", router, "--out", "best", "--json"]) == 0
-        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        with ended as left:
+            assert status(["route", "p.gr", "--router", router, "--out", "best", "--json"]) == 0
+        assert signal.getsignal(sent) is usual
     finally:
-        signal.signal(signal.SIGINT, inherited)
+        signal.signal(sent, inherited)
+    if left is not None:
+        assert left.value.code == 128 + sent
     shown = capsys.readouterr()
     assert json.loads(shown.out)["router"] == router
     lines = shown.err.splitlines()
     assert lines[0] == f"{router}: one of many"
-    assert lines[1] == "stopping with the best solution so far; Ctrl-C again discards it"
+    assert lines[1] == "stopping with the best solution so far; a second signal discards it"
     assert Path("best").exists()
+
+
+@pytest.mark.parametrize(
+    ("command", "says"),
+    [
+        ("route p.gr --out p.gr", "p.gr: expected another file: this one is read"),
+        ("convert p.gr ./p.gr", "p.gr: expected another file: this one is read"),
+        ("convert p.gr s --solution s", "s: expected another file: this one is read"),
+        ("evaluate p.gr s --map p.gr", "p.gr: expected another file: this one is read"),
+        ("evaluate p.gr s --control keep=k --map k", "k: expected another file: this one is read"),
+        ("route p.gr --out s.segs", "s.segs: expected another suffix: .segs is not written"),
+        ("convert p.gr p.def", "p.def: expected another suffix: .def is not written"),
+        ("convert p.gr p.CAP.gz", "p.CAP.gz: expected another suffix: .cap is not written"),
+        ("convert p.gr p.guide", "p.guide: expected another suffix: .guide is not written"),
+        (
+            "evaluate p.gr s --control layers=1 --control layers=2",
+            "--control layers: expected one value, found it twice",
+        ),
+        (
+            "evaluate p.gr s --control derate.1=0.5 --control derate={2: 0.5}",
+            "--control derate: expected one value, found derate and derate.1",
+        ),
+    ],
+)
+def test_files_that_are_read_and_formats_that_are_only_read_are_not_written(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    command: str,
+    says: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    problem = marouting.generate(1, grid=(4, 4, 2), nets=3, seed=1)[0]
+    problem.write("p.gr")
+    before = Path("p.gr").read_bytes()
+    for name in ("s", "k"):
+        marouting.sequential_astar(problem).write(name)
+    words = re.findall(r"\S*\{.*?\}|\S+", command)
+    assert status(words) == 2
+    assert capsys.readouterr().err == f"marouting: {says}\n"
+    assert Path("p.gr").read_bytes() == before
+    assert sorted(path.name for path in Path().iterdir()) == ["k", "p.gr", "s"]
 
 
 class Killed(Patient):

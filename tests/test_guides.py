@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from marouting import ProblemFile, Solution, evaluate, sequential_astar
+from marouting import InputError, ProblemFile, Solution, evaluate, sequential_astar
 from marouting.problem.guides import CROWDED, GuideCheck, check_guide, read_record
 from policies.cli.main import status
 
@@ -153,3 +153,32 @@ def test_the_contests_own_guide_meets_its_rules() -> None:
     design = ProblemFile(path=str(ISPD18 / "ispd18_test1.input.def"), tile=(6000, 5700)).read()
     checked = check_guide(read_record(ISPD18 / "ispd18_test1.input.guide", design), design)
     assert checked == GuideCheck(26598, *GOOD)
+
+
+def test_boxes_beyond_the_chip_count_as_far_as_they_lie_on_it(
+    tmp_path: Path, solution: Solution
+) -> None:
+    ours, wide = tmp_path / "ours.guide", tmp_path / "wide.guide"
+    solution.write(ours)
+    assert PROBLEM.chip is not None
+    right = int(PROBLEM.chip.x[-1])
+    rows = [line.split() for line in ours.read_text().splitlines()]
+    assert any(len(row) == 5 and int(row[0]) == 0 for row in rows)
+    for row in rows:
+        if len(row) == 5:
+            row[0] = row[0] if int(row[0]) > 0 else "-700"
+            row[2] = row[2] if int(row[2]) < right else str(right + 700)
+    wide.write_text("\n".join(map(" ".join, rows)) + "\n")
+    assert Solution.read(wide, PROBLEM) == Solution.read(ours, PROBLEM)
+    assert found(wide) == GOOD
+    wide.write_text(f"{PROBLEM.nets[0].name}\n(\n{right} 0 {right + 700} 700 Metal2\n)\n")
+    with pytest.raises(InputError, match=r"wide.guide:3: expected a box on the chip, from"):
+        Solution.read(wide, PROBLEM)
+
+
+def test_a_guide_without_boxes_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "none.guide").write_text("")
+    assert status(["evaluate", str(CHIP), str(tmp_path / "none.guide"), "--json"]) == 0
+    shown = capsys.readouterr()
+    assert "none.guide: no boxes, so it is not checked as a guide" in shown.err
+    assert not any(key.startswith("guide_") for key in json.loads(shown.out))

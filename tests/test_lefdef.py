@@ -310,7 +310,7 @@ def test_a_pin_is_reached_where_any_part_of_it_lies(tmp_path: Path) -> None:
     guide = tmp_path / "chip.guide"
     guide.write_text("n1\n(\n0 0 400 400 M1\n0 400 400 800 M1\n0 0 400 800 M2\n)\n")
     solution = Solution.read(guide, problem)
-    assert not evaluate(problem, solution).connected
+    assert evaluate(problem, solution).connected
     judged = solution.at_reached_pins()
     assert evaluate(judged.problem, judged).connected
     assert judged.problem.nets[0].pins == ((200, 200, 1), (200, 600, 1))
@@ -320,6 +320,26 @@ def test_a_pin_is_reached_where_any_part_of_it_lies(tmp_path: Path) -> None:
     solution.write(guide)
     assert "0 400 400 800 M1" in guide.read_text()
     assert "400 400 800 800 M1" in guide.read_text()
+
+
+def test_further_ports_of_a_pin_in_older_files(tmp_path: Path) -> None:
+    port = "+ LAYER M2 ( -20 0 ) ( 20 100 ) + PLACED"
+    text = DEF.replace("PINS 1", "PINS 2").replace(
+        "END PINS", f"- in.extra1 + NET n1 {port} ( 500 500 ) N ;\nEND PINS"
+    )
+    for connections in ("( PIN in )", "( PIN in ) ( PIN in.extra1 )"):
+        problem = Problem.read(design(tmp_path, text.replace("( PIN in )", connections)))
+        assert len(problem.nets[0].pins) == 2
+        assert problem.chip is not None
+        assert problem.chip.places is not None
+        first, places = problem.chip.places.first, problem.chip.places.gcell
+        # The pin's own port is in column 2, row 0, and the other one in column 1, row 1.
+        assert set(places[first[0] : first[1]].tolist()) == {2 * 6 + 1, 1 * 6 + 1 * 2 + 1}
+
+
+def test_a_design_with_the_name_of_a_macro(tmp_path: Path) -> None:
+    problem = Problem.read(design(tmp_path))
+    assert Problem.read(design(tmp_path, DEF.replace("DESIGN chip", "DESIGN CELL"))) == problem
 
 
 # --- the command line -----------------------------------------------------------------------------

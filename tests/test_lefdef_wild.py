@@ -293,7 +293,8 @@ def test_a_layer_that_nobody_defines_is_refused(
 def test_a_macro_in_a_layer_that_nobody_defines_is_refused(tmp_path: Path) -> None:
     lef = LEF.replace("  OBS\n    LAYER M2", "  OBS\n    LAYER M9")
     with pytest.raises(
-        InputError, match="layer M9 of a macro's obstruction, in CELL: expected a layer of"
+        InputError,
+        match=r"chip.lef:[0-9]+: layer M9 of a macro's obstruction, in CELL: expected a layer of",
     ):
         Problem.read(design(tmp_path, lef=lef))
 

@@ -32,19 +32,19 @@ def edges_in_boxes(problem: Problem, boxes: Boxes) -> tuple[NDArray[np.int64], N
     join them, no more than are needed.
 
     Raises:
-        FieldError: a box is empty or reaches off the chip; ``row`` tells which.
+        FieldError: a box is empty or lies off the chip; ``row`` tells which. Of a box that reaches
+            off the chip, as GCELLGRIDs do that are wider than the die, the part on it counts.
         InputError: the Gcells would take too much memory.
     """
     chip = problem.chip_or_default
     net, box, layer = boxes
+    box = chip.on_chip(box)
     wrong = (box[:, :2] >= box[:, 2:]).any(axis=1)
-    low, high = np.array([chip.x[0], chip.y[0]]), np.array([chip.x[-1], chip.y[-1]])
-    wrong |= (box[:, :2] < low).any(axis=1) | (box[:, 2:] > high).any(axis=1)
     if wrong.any():
         row = int(wrong.argmax())
         raise FieldError(
-            f"expected a box on the chip, from {tuple(low.tolist())} to {tuple(high.tolist())}, "
-            f"found {tuple(box[row].tolist())}",
+            f"expected a box on the chip, from {(int(chip.x[0]), int(chip.y[0]))} to "
+            f"{(int(chip.x[-1]), int(chip.y[-1]))}, found {tuple(boxes.box[row].tolist())}",
             "segments",
             row,
         )

@@ -56,6 +56,11 @@ class Chip:
     contest: Contest | None = None  # of a problem of the ISPD 2024 contest
     clock: NDArray[np.bool_] | None = None  # (nets,) whether the files call a net a clock; None: no
 
+    def on_chip(self, box: NDArray[np.int64]) -> NDArray[np.int64]:
+        """(n, 4) the part on the chip of each box, whose low sides come first; empty if none is."""
+        low, high = (np.array([self.x[end], self.y[end]] * 2) for end in (0, -1))
+        return box.clip(low, high)
+
 
 class Capacities(NamedTuple):
     """Fields of a problem: one number a layer, and the edges that differ."""

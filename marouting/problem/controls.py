@@ -12,6 +12,7 @@ adjusted problem and need to know nothing else:
   are written with them (:class:`marouting.problem.problem.Kept`).
 """
 
+import os
 import re
 from collections.abc import Collection
 from dataclasses import dataclass, field, fields, replace
@@ -23,7 +24,7 @@ from numpy.typing import NDArray
 from marouting.checks import check_fields
 from marouting.config import check
 from marouting.errors import InputError, nearest
-from marouting.files import stem_of
+from marouting.files import beside, stem_of, suffix_of
 from marouting.problem.chip import Chip
 from marouting.problem.grid import AXES, VIA_AXIS, distinct
 from marouting.problem.net import Adjustment
@@ -120,6 +121,16 @@ class ProblemFile(Controls):
     def stem(self) -> str:
         """The problem's name."""
         return stem_of(self.path)
+
+    @property
+    def files(self) -> list[str]:
+        """All files that the problem is read from."""
+        suffix, found = suffix_of(self.path), [self.path, *self.lef]
+        if suffix == ".def" and not self.lef:
+            found.append(os.fspath(beside(self.path, ".lef")))
+        if suffix == ".cap":
+            found.append(self.net or os.fspath(beside(self.path, ".net")))
+        return found if self.keep is None else [*found, self.keep]
 
     def read(self) -> Problem:
         """The adjusted problem; raises InputError if it cannot be read or adjusted so."""
@@ -349,8 +360,7 @@ def _kept_routes(problem: Problem, controls: Controls) -> tuple[NDArray[np.int64
     if not controls.keep_nets:
         chosen[net] = True
     check("keep", chosen.any(), f"a net with a route, found none in {controls.keep}")
-    reached = found.at_reached_pins()
-    open_nets = set(evaluate(reached.problem, reached).disconnected)
+    open_nets = set(evaluate(problem, found).disconnected)
     for i in np.flatnonzero(chosen).tolist():
         if problem.nets[i].name in open_nets:
             raise InputError(

@@ -27,7 +27,7 @@ class GuideCheck:
     Attributes:
         boxes: how many boxes it has.
         off_grid: boxes whose sides are not all on lines between Gcells.
-        open_pins: pins, of nets with several, of which no box touches a shape in its own layer.
+        open_pins: pins, of nets with several, in none of whose Gcells and layers a box lies.
         split_nets: nets whose boxes are in several parts. Boxes are joined if they touch along a
             side or overlap in one layer, or overlap in two layers above each other.
     """
@@ -56,7 +56,8 @@ def read_record(path: str | os.PathLike[str], problem: Problem) -> Record:
 def check_guide(record: Record, problem: Problem) -> GuideCheck | None:
     """Checks a guide.
 
-    Pins and boxes are compared by Gcells, which is exact for boxes on the grid.
+    Pins and boxes are compared by the Gcells that they touch, which is exact if no box is off the
+    grid.
 
     Args:
         record: what :func:`read_record` read.
@@ -72,7 +73,8 @@ def check_guide(record: Record, problem: Problem) -> GuideCheck | None:
     chip = problem.chip_or_default
     if isinstance(record, ispd.SolutionRecord) or not len(record.boxes):
         return None
-    net, box, layer = record.net, record.boxes[:, :4], record.boxes[:, 4]
+    net, layer = record.net, record.boxes[:, 4]
+    box = chip.on_chip(record.boxes[:, :4])
     lines = (chip.x, chip.y)
     on_grid = np.all([is_among(box[:, i], lines[i % 2]) for i in range(4)], axis=0)
     first, last = [], []

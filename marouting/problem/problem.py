@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
-from marouting.files import beside, suffix_of
+from marouting.files import beside, check_suffix, naming, suffix_of
 from marouting.problem import ispd, lefdef
 from marouting.problem.chip import Chip
 from marouting.problem.grid import AXES, MAX_GCELLS, OFF_GRID, VIA_AXIS, Grid
@@ -377,6 +377,8 @@ class Problem:
             if given and suffix != own:
                 raise InputError(f"{os.fspath(path)}: expected no {name}: only {own} files take it")
         if suffix == ".def":
+            with naming(path, "cannot be read"):  # before its LEF files are looked for
+                os.stat(path)  # noqa: PTH116 (PathLike without Path)
             files = lef or [beside(path, ".lef")]
             record = lefdef.read_design(path, files, tile, pin_layer_wires)
         elif suffix == ".cap":
@@ -408,6 +410,7 @@ class Problem:
                 f"{os.fspath(path)}: expected a problem without nets that stay (keep): the format "
                 "has no routes"
             )
+        check_suffix(path, ".guide", ".pr_output")
         fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         ispd.write_problem(path, fields, format)
 

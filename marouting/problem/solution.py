@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
-from marouting.files import suffix_of
+from marouting.files import check_suffix, suffix_of
 from marouting.kernels import compiled
 from marouting.problem import ispd
 from marouting.problem.boxes import Boxes, boxes_of, edges_in_boxes
@@ -306,6 +306,7 @@ class Solution:
         if self.problem.kept is not None:
             self.whole.write(path, format)
             return
+        check_suffix(path)
         format = format or _BY_SUFFIX.get(suffix_of(path), "ispd2008")
         nets = self.problem.nets
         if format in ("guide", "patched-guide"):
@@ -434,6 +435,7 @@ class Evaluation:
         joined: connections made between pins: for each net the number of its pin Gcells minus the
             number of connected parts that they are left in; summed over the nets.
         tasks: connections needed: for each net one less than its pin Gcells; summed over the nets.
+            Pins that the routes reach in one Gcell count once.
         disconnected: the names of the nets whose route does not join all their pins.
     """
 
@@ -449,6 +451,9 @@ class Evaluation:
 
 def evaluate(problem: Problem, solution: Solution) -> Evaluation:
     """Judges a solution by the rules of the ISPD 2008 contest's evaluator, which the paper uses.
+
+    A pin with shapes in several Gcells may be reached in any of them
+    (:meth:`Solution.at_reached_pins`).
 
     Args:
         problem: the problem whose capacities count; grid and nets must be those of the solution's.
@@ -478,9 +483,11 @@ def evaluate(problem: Problem, solution: Solution) -> Evaluation:
     used, tracks = solution.used_edges if own is problem else _used_edges(problem, solution)
     overflow = np.maximum(tracks - problem.capacity_of(used), 0)
     _, edge = solution.uses
-    first = problem.flat_pin_gcells[0][:-1]
-    pin_net = np.repeat(np.arange(len(first)), np.diff(problem.flat_pin_gcells[0]))
-    pin_part = solution._graph.part[solution._graph.pins]
+    judged = solution.at_reached_pins()
+    bounds = judged.problem.flat_pin_gcells[0]
+    first = bounds[:-1]
+    pin_net = np.repeat(np.arange(len(first)), np.diff(bounds))
+    pin_part = judged._graph.part[judged._graph.pins]
     disconnected = distinct(pin_net[pin_part != pin_part[first][pin_net]])
     return Evaluation(
         overflow=int(overflow.sum()),

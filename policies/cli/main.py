@@ -27,7 +27,14 @@ except ImportError:  # pragma: no cover - the command line needs the extra
 
 from marouting import InputError, ProblemFile, Solution, __version__, evaluate
 from marouting.config import override, read_yaml
-from marouting.files import check_writable, exists, naming, suffix_of
+from marouting.files import (
+    check_apart,
+    check_suffix,
+    check_writable,
+    exists,
+    naming,
+    suffix_of,
+)
 from marouting.generator import GeneratorOptions
 from marouting.problem.contest import contest_cost, with_pins_covered
 from marouting.problem.guides import check_guide, read_record
@@ -47,7 +54,7 @@ from policies.cli.options import (
 )
 from policies.cli.source import problem_argument
 from policies.cli.view import view
-from policies.interrupts import interruptible
+from policies.interrupts import Held, interruptible
 from policies.routers.base import LEFT_ALONE, solve, warm_up
 from policies.routers.registry import is_learner, make_router, router_names, unknown
 
@@ -157,23 +164,27 @@ def convert(
     text, whose header tells the format. Solutions are ISPD text (ispd2008), a routing guide
     (.guide; --format patched-guide gives more room around pins and at crowded places) or ISPD
     2024's output (.PR_output); OpenROAD's route segments are read as well. Any of
-    them may be compressed (.gz). Nothing is lost: a format that cannot hold all of the input is
-    an error.
+    them may be compressed (.gz). Routes that a format cannot hold are an error. What ISPD text
+    lacks of a chip's files is told.
     """
     known: Sequence[str] = FORMATS if solution is None else ROUTE_FORMATS
     if format is not None and format not in known:
         what = "a problem" if solution is None else "--solution"
         raise InputError(f"--format: expected {', '.join(known)} for {what}, found {format}")
+    check_apart(out, *problem.files, *([] if solution is None else [solution]))
     loaded = problem.read()
     size, nets = list(loaded.grid), len(loaded.nets)
     if solution is None:
         loaded.write(out, cast(Format, format or "ispd2008"))
+        if loaded.chip is not None:
+            lost = "names of layers, further Gcells of pins"
+            lost += "" if loaded.chip.contest is None else ", costs of the contest"
+            click.echo(f"{out}: ISPD text does not hold: {lost}", err=True)
         tell(as_json, f"{loaded.topology}, {nets} nets in {out}", out=out, grid=size, nets=nets)
         return
     routes = Solution.read(solution, loaded)
     routes.write(out, cast(RouteFormat | None, format))
-    reached = routes.at_reached_pins()
-    open_nets = list(evaluate(reached.problem, reached).disconnected)
+    open_nets = list(evaluate(loaded, routes).disconnected)
     if open_nets:
         click.echo(f"{len(open_nets)} open nets, whose routes are not connected", err=True)
     text = f"{nets} nets in {out}"
@@ -241,9 +252,13 @@ def route(
         raise InputError(f"--checkpoint: expected --router {expected}")
     if checkpoint and (config or overrides):
         raise InputError("--checkpoint: expected no configuration with it: nothing is trained")
+    if out is not None:
+        check_suffix(out)
+        check_apart(out, *problem.files)
     loaded = problem.read()
     if out is not None:
         check_writable(out)
+    held = Held()
     with contextlib.ExitStack() as stack:
         if learner:
             learned = _learned(router, checkpoint, problem.stem, config, overrides, stack)
@@ -259,7 +274,7 @@ def route(
             where = f"--router {router}" if config is None else str(config)
             solver = make_router(router, options, where)
             save = None if out is None else lambda best: _finished(best, prune).write(out)
-            stack.enter_context(waiting(router, solver, save))
+            held = stack.enter_context(waiting(router, solver, save))
         warm_up(solver)
         started, worked = time.perf_counter(), _processor_seconds()
         solution, report = solve(solver, loaded)
@@ -268,6 +283,7 @@ def route(
     if out is not None:
         solution.write(out)
     _report(router, solution, seconds, as_json, {"processor_seconds": round(worked, 2), **report})
+    held.leave()
 
 
 def _processor_seconds() -> float:
@@ -363,6 +379,8 @@ def evaluate_command(
     A report has wires and vias by layer, the edges with the most overflow and the nets on them,
     each net's detour over the shortest tree, a histogram of edge use, and the open nets.
     """
+    if picture is not None:
+        check_apart(picture, *problem.files, solution)
     loaded = problem.read()
     record = read_record(solution, loaded)
     routes = Solution.of_record(record, loaded).at_reached_pins()
@@ -382,6 +400,8 @@ def evaluate_command(
     evaluate(routes.problem, routes)
     seconds = time.perf_counter() - started
     checked = check_guide(record, loaded) if suffix_of(solution) == ".guide" else None
+    if suffix_of(solution) == ".guide" and checked is None:
+        click.echo(f"{solution}: no boxes, so it is not checked as a guide", err=True)
     of_guide = {} if checked is None else {f"guide_{k}": v for k, v in asdict(checked).items()}
     _report(None, routes, seconds, as_json, of_guide)
 

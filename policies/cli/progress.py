@@ -1,7 +1,6 @@
 """Progress bars on standard error for work that takes minutes or hours."""
 
 import contextlib
-import signal
 import sys
 import threading
 import time
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from marouting import Solution
-from policies.interrupts import holding
+from policies.interrupts import ENDING, Held, holding
 from policies.routers.base import Keeper, Router, Watched
 
 if TYPE_CHECKING:
@@ -108,26 +107,30 @@ SAVED_EVERY = 300.0
 @contextlib.contextmanager
 def waiting(
     name: str, router: Router, save: Callable[[Solution], None] | None = None
-) -> Iterator[None]:
+) -> Iterator[Held]:
     """Shows that a router works, for how long, and how far it is if it tells.
 
     Where standard error is no terminal, a line says so after some seconds, and again every ten
-    seconds if the router tells how far it is. Once it has begun to, Ctrl-C asks it to end with the
-    best solution so far, and a second one ends everything.
+    seconds if the router tells how far it is. Once it has begun to, Ctrl-C, SIGTERM or SIGHUP asks
+    it to end with the best solution so far, and a second one ends everything.
 
     Args:
         name: what the router is called.
         router: the router, whose options may tell how long it may take.
         save: gets the best solution so far every five minutes, if the router can give it.
+
+    Yields:
+        The signals that ended the search.
     """
     options = getattr(router, "options", router)
     limits = (getattr(options, limit, None) for limit in ("seconds", "time_limit"))
     most = next((limit for limit in limits if isinstance(limit, int | float)), None)
     text = f"{name}: routing" if most is None else f"{name}: routing, for {most:g} s at most"
+    held = Held()
     with contextlib.ExitStack() as stack:
         show = stack.enter_context(_shown(text))
         if isinstance(router, Watched):
-            held = stack.enter_context(holding(signal.SIGINT, tell=_tell_stopping))
+            held = stack.enter_context(holding(*ENDING, tell=_tell_stopping))
             saved = time.monotonic()
 
             def watch(line: str) -> bool:
@@ -143,7 +146,7 @@ def waiting(
 
             router.watch = watch
             stack.callback(setattr, router, "watch", None)
-        yield
+        yield held
 
 
 @contextlib.contextmanager
@@ -178,7 +181,7 @@ def _shown(text: str) -> Iterator[Callable[[str], None]]:
 
 
 def _tell_stopping() -> None:
-    click.echo("stopping with the best solution so far; Ctrl-C again discards it", err=True)
+    click.echo("stopping with the best solution so far; a second signal discards it", err=True)
 
 
 _QUIET = 3.0

@@ -1,6 +1,7 @@
 """The argument PROBLEM of commands, and the options that tell where the rest of a problem is."""
 
 import functools
+import itertools
 import os
 from collections.abc import Callable
 from dataclasses import fields
@@ -11,6 +12,7 @@ import click
 
 from marouting import Controls, ProblemFile
 from marouting.config import build, override
+from marouting.errors import InputError
 from policies.cli.options import FILE, WHOLE
 
 
@@ -42,7 +44,8 @@ def problem_argument(command: Callable[..., None]) -> Callable[..., None]:
         metavar="KEY=VALUE",
         multiple=True,
         help="A control of the problem, such as layers=2..6, derate.met1=0.8 or keep=FILE; may be "
-        f"given several times. The keys are {', '.join(own.name for own in fields(Controls))}. "
+        "given several times, each key once. The keys are "
+        f"{', '.join(own.name for own in fields(Controls))}. "
         "Without it, the problem stays as it is read.",
     )
     @functools.wraps(command)
@@ -54,6 +57,11 @@ def problem_argument(command: Callable[..., None]) -> Callable[..., None]:
         controls: tuple[str, ...],
         **rest: Any,
     ) -> None:
+        keys = sorted(f"{control.partition('=')[0]}." for control in controls)
+        for key, other in itertools.pairwise(keys):
+            if other.startswith(key):  # one would replace the other
+                given = f"{key[:-1]} and {other[:-1]}" if other != key else "it twice"
+                raise InputError(f"--control {key[:-1]}: expected one value, found {given}")
         adjusting = build(Controls, override({}, controls), "--control")
         file = ProblemFile(
             path=os.fspath(problem),

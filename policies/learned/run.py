@@ -8,7 +8,6 @@ import functools
 import json
 import math
 import shutil
-import signal
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, fields, replace
@@ -24,7 +23,7 @@ from marouting.generator import GeneratorOptions
 from marouting.registry import allowing_code
 from marouting.scenarios import get
 from marouting.source import ProblemSampler, ProblemStream, fixed_problems, load_problems
-from policies.interrupts import holding
+from policies.interrupts import ENDING, holding
 from policies.learned.checkpoint import read_checkpoint
 from policies.learned.config import Config, load_config
 from policies.learned.device_trainer import DeviceTrainer, on_device
@@ -373,7 +372,7 @@ class Run:
                 drawn=trainer.drawn,
                 wandb=plain(config) if config.train.wandb else None,
             ) as logs,
-            holding(signal.SIGINT, signal.SIGTERM) as held,
+            holding(*ENDING) as held,
         ):
 
             def keep() -> None:
@@ -382,8 +381,7 @@ class Run:
                 self._processor_seconds = time.process_time() - self._began
                 self._logged, self._evaluated = logs.flush()
                 _save(self._state(), self.folder / CHECKPOINT)
-                if signal.SIGTERM in held.numbers:
-                    raise SystemExit(128 + signal.SIGTERM)
+                held.leave()
                 if held.numbers:
                     raise KeyboardInterrupt
 

@@ -4,6 +4,7 @@ Shapes are not read here. What holds them is copied for klayout, statement by st
 """
 
 import os
+import re
 import warnings
 from array import array
 from collections.abc import Container, Iterator, Sequence
@@ -142,6 +143,9 @@ def read_def(path: str | os.PathLike[str], library: Library, copy: Copy) -> Desi
             else:
                 rest = words.rest()
                 _read_statement(word, rest, line, design, library)
+                if word == "DESIGN":  # klayout wants a name that no macro has
+                    while rest and rest[0] in library.macros:
+                        rest[0] += "_"
                 if word in _COPIED:
                     copy.write(line, " ".join([word, *rest, ";"]))
         if words.keyword() != "DESIGN":
@@ -320,6 +324,11 @@ def _clauses(words: list[str]) -> Iterator[list[str]]:
             yield words[start + 1 : end]
 
 
+def _pin_name(name: str) -> str:
+    """A pin's name; of a further port of pin x, which older files call ``x.extra1``, that is x."""
+    return re.sub(r"\.extra[0-9]*$", "", name.replace("\\", ""))
+
+
 def _pin(rest: list[str], design: Design, library: Library) -> list[str]:
     """Adds a pin to the design; returns what klayout has to know of it, nothing without shapes.
 
@@ -348,11 +357,11 @@ def _pin(rest: list[str], design: Design, library: Library) -> list[str]:
             copied += ["+", "PORT"] * (len(ports) > 1)
             copied += [word for clause in (*shapes, place) for word in ("+", *clause)]
         design.pin_vias += _vias_of_pin(name, vias, place, design, library)
-    plain = name.replace("\\", "")
-    if plain in design.pins:
+    plain = _pin_name(name)
+    if plain in design.pins and plain == name.replace("\\", ""):
         raise InputError(f"pin {name}: expected a name no earlier pin has")
     lacks = "" if usable else _NO_SHAPE if placed and not shaped else _NO_PLACE
-    design.pins[plain] = lacks
+    design.pins[plain] = lacks and design.pins.get(plain, lacks)
     return [name, "+", "NET", name, *copied] if copied else []
 
 
@@ -374,7 +383,7 @@ def _vias_of_pin(
             y = -y
         for _ in range(turn % 4):
             x, y = -y, x
-        yield PinVia(pin.replace("\\", ""), clause[1], turn, int(place[2]) + x, int(place[3]) + y)
+        yield PinVia(_pin_name(pin), clause[1], turn, int(place[2]) + x, int(place[3]) + y)
 
 
 def _blockage(rest: list[str]) -> list[str]:
@@ -421,7 +430,9 @@ def _net(rest: list[str], line: int, design: Design, library: Library) -> None:
     for names in _connections(rest[1:], rest[0]):
         component, pin = (name.replace("\\", "") for name in names)
         of_chip = component.upper() == "PIN" and component not in design.components
-        connections.append(("PIN" if of_chip else component, pin))
+        connection = ("PIN", _pin_name(pin)) if of_chip else (component, pin)
+        if not of_chip or connection not in connections:
+            connections.append(connection)
     for component, pin in connections:
         if component == "PIN":
             if pin not in design.pins:

@@ -49,6 +49,7 @@ class Library:
         pin_vias: vias that are shapes of macros' pins: macro, pin, via, and where it stands.
         used_vias: the vias of macros, with the file and the line that first names each.
         used_layers: the layers of nondefault rules, with the same.
+        layers_at: for each layer of macros the file and the line that first names it.
         files: their names.
     """
 
@@ -60,6 +61,7 @@ class Library:
     pin_vias: list[tuple[str, str, str, float, float]] = field(default_factory=list)
     used_vias: dict[str, str] = field(default_factory=dict)
     used_layers: dict[str, str] = field(default_factory=dict)
+    layers_at: dict[str, str] = field(default_factory=dict)
     files: list[str] = field(default_factory=list)
 
     @property
@@ -268,6 +270,8 @@ def _read_geometries(
     """
     while (keyword := _keyword_of(words, macro, begun)) != "END":
         line, rest = words.line, words.rest()
+        if keyword == "LAYER" and rest:
+            library.layers_at.setdefault(rest[0], f"{library.files[-1]}:{line}")
         if keyword != "VIA":
             continue
         times = [(0.0, 0.0)]
