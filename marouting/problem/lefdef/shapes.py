@@ -100,9 +100,9 @@ def read_shapes(
             elif name not in library.others or kind not in _KINDS:
                 cells = [c.name for c in layout.each_cell() if not c.shapes(index).is_empty()]
                 of_lef = kind in ("lef_pins", "obstructions")
-                at = library.layers_at.get(name, "") if of_lef else design.file
+                file = library.layers_at.get(name, design.file) if of_lef else design.file
                 raise InputError(
-                    f"{at or design.file}: layer {name or info} of {_KINDS.get(kind, 'a shape')}, "
+                    f"{file}: layer {name or info} of {_KINDS.get(kind, 'a shape')}, "
                     f"in {cells[0] if cells else top.name}: expected a layer of the LEF files"
                 )
         for index in layout.each_cell_bottom_up():
