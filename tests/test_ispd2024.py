@@ -451,7 +451,7 @@ def test_spoiled_nets(files: Path, old: str, new: str, line: int, what: str) -> 
             3,
             "layer m4: expected a layer of the problem: m1, m2",
         ),
-        (ROUTES, "a\n(\n0 0 5 1 m3\n)\n", 3, "a box on the chip, from (0, 0) to (4, 3)"),
+        (ROUTES, "a\n(\n4 0 5 1 m3\n)\n", 3, "a box on the chip, from (0, 0) to (4, 3)"),
         (ROUTES, "a\n(\n1 0 1 1 m3\n)\n", 3, "a box on the chip"),
         (ROUTES, "a\n(\n1 0 2\n)\n", 3, "a box 'x y x y layer', a segment"),
     ],
