@@ -37,6 +37,7 @@ RENAMED = {
     "evolved": "pathfinder with schedule=tuned",
     "heuristic": "greedy",
     "learned": "generalist",
+    "regions": "pathfinder with threads=2",
 }
 """Names of routers before version 0.3, and what they are called now."""
 

@@ -1,6 +1,5 @@
 """Work as tasks of Ray: the same as in local processes, whatever is killed."""
 
-import contextlib
 import importlib.util
 import json
 import os
@@ -15,7 +14,6 @@ from typing import Any
 import pytest
 import ray_tasks as tasks
 import test_experiment
-import test_regions
 import yaml
 from conftest import in_this_process
 
@@ -24,7 +22,6 @@ from policies import figures
 from policies.cli.main import status
 from policies.engines import Call, opened
 from policies.experiment import Experiment, experiment, load_experiment
-from policies.routers.regions import RegionsOptions, RegionsRouter, router
 
 ray = pytest.importorskip("ray", reason="the extra ray is not installed")
 
@@ -172,20 +169,6 @@ def test_without_ray_the_extra_is_named(
     expected = "marouting: engine: ray is missing: pip install 'marouting[ray]'"
     assert capsys.readouterr().err.splitlines() == [expected]
     assert not (tmp_path / "out").exists()
-
-
-def test_regions_are_the_same_as_here(monkeypatch: pytest.MonkeyPatch) -> None:
-    problem = test_regions.chip(nets=8)
-    options = RegionsOptions(engine="ray", seconds=None, seed=3)
-    there = RegionsRouter(options).solve(problem)
-    monkeypatch.setattr(router, "opened", lambda *_: contextlib.nullcontext(test_regions.Here()))
-    here = RegionsRouter(options).solve(problem)
-    assert {len(step.lines) for step in there.history[1:]} == {1}
-    assert there.solution == here.solution
-    steps = ("kind", "overflow", "wirelength", "axis", "lines", "sent", "returned")
-    for name in steps:
-        a, b = ([getattr(step, name) for step in routed.history] for routed in (there, here))
-        assert a == b
 
 
 # --- what is killed -------------------------------------------------------------------------------

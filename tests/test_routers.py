@@ -481,7 +481,6 @@ def test_no_router_compiles_in_the_seconds_of_a_route() -> None:
         ("greedy", {}),
         ("pathfinder", {"seconds": 0.5}),  # ends in the middle of a pass
         ("pathfinder", {"seconds": 0.5, "schedule": "tuned"}),
-        ("regions", {"seconds": 0.5}),
     ]
     done = subprocess.run(
         [sys.executable, "-c", _COMPILED_LATE, json.dumps(routers)],

@@ -91,18 +91,13 @@ class Keeper(Watched, Protocol):
         ...
 
 
-def small_problem() -> Problem:
-    """A small problem, to make ready what compiles or loads when it is first used."""
-    return generate(1, (4, 4, 2), nets=8, max_pins=3, capacity=1, reduced_edges=0)[0]
-
-
 def warm_up(router: Router) -> None:
     """Routes a small problem, so that the router has compiled and loaded what it needs.
 
     A learner without a checkpoint trains for two short episodes. An ``InputError`` is ignored, and
     the router's ``watch`` is not called.
     """
-    small = small_problem()
+    small = generate(1, (4, 4, 2), nets=8, max_pins=3, capacity=1, reduced_edges=0)[0]
     with contextlib.ExitStack() as stack:
         if isinstance(router, Watched):
             stack.callback(setattr, router, "watch", router.watch)

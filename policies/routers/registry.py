@@ -24,7 +24,6 @@ def router_names() -> tuple[str, ...]:
 _LABELS = {
     "astar": "A*",
     "pathfinder": "negotiated congestion",
-    "regions": "negotiated congestion in regions",
     "optimal": "optimum",
     "random": "random walks",
 }

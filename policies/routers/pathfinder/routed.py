@@ -3,9 +3,6 @@
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from marouting import Solution
 from policies.routers.pathfinder.state import Kind
 
@@ -36,16 +33,12 @@ class Routed:
         seconds: time taken.
         history: every pass, in order; the first is that of patterns.
         stop: why the search ended.
-        prices: (E,) what past overflow adds to the cost of every edge in the end, in edges.
-        present: factor by which one net too many raises the cost of an edge in the end.
     """
 
     solution: Solution
     seconds: float
     history: tuple[Pass, ...]
     stop: Stop
-    prices: NDArray[np.float64]
-    present: float
 
     @property
     def iterations(self) -> int:

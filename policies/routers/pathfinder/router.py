@@ -4,9 +4,6 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from marouting import Problem, Solution
 from policies.routers.pathfinder.options import PathfinderOptions
 from policies.routers.pathfinder.routed import Routed, Stop
@@ -82,34 +79,14 @@ class PathfinderRouter:
         """
         return self.solve(problem).solution
 
-    def solve(
-        self,
-        problem: Problem,
-        start: Solution | None = None,
-        prices: NDArray[np.float64] | None = None,
-        present: float = 0.0,
-        taken: NDArray[np.int64] | None = None,
-    ) -> Routed:
-        """Routes a problem like :meth:`route` and tells how the solution was found.
-
-        Args:
-            problem: the problem.
-            start: a solution to begin with; None: the one of the option ``start``, if there is one.
-            prices: (E,) prices to begin with, as in :class:`Routed`; None: 0 everywhere.
-            present: factor to go on from, as in :class:`Routed`; 0: the option ``present_factor``.
-                With another one negotiating begins with ``start``, however few nets there are.
-            taken: (E,) tracks that others use of every edge; None: none. The overflow of a pass
-                leaves out what they cause alone.
-        """
+    def solve(self, problem: Problem) -> Routed:
+        """Routes a problem like :meth:`route` and tells how the solution was found."""
         began = time.perf_counter()
-        search = Search(problem, self.options, self.watch, start, prices, present, taken)
-        self._search = search
+        self._search = search = Search(problem, self.options, self.watch)
         stop = _run(search)
         self._search = None
         solution, seconds = search.best(), time.perf_counter() - began
-        history, prices = tuple(search.history), search.routing.price / UNIT
-        present = float(search.progress["present"])
-        return Routed(solution, seconds, history, stop, prices, present)
+        return Routed(solution, seconds, tuple(search.history), stop)
 
 
 def _run(search: Search) -> Stop:

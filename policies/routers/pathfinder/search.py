@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from marouting import Problem, Solution
 from marouting.kernels import specialised
@@ -78,8 +77,6 @@ class Search:
         problem: the problem.
         options: the options.
         watch: as in :class:`~policies.routers.pathfinder.router.PathfinderRouter`.
-        start, prices, present, taken: as in
-            :meth:`~policies.routers.pathfinder.router.PathfinderRouter.solve`.
 
     Attributes:
         options: the options, as the schedule has them; without a linear program for many nets.
@@ -99,29 +96,18 @@ class Search:
         problem: Problem,
         options: PathfinderOptions,
         watch: Callable[[str], bool] | None,
-        start: Solution | None,
-        prices: NDArray[np.float64] | None,
-        present: float,
-        taken: NDArray[np.int64] | None,
     ) -> None:
         self._began = time.thread_time()  # later moved by what was not the search's work
         options = scheduled(options, problem)
         self._problem, self._watch, self._gain = problem, watch, Gain()
         self._arrays, self.routing = make_arrays(problem, options)
-        if start is None and options.start is not None:
-            start = Solution.read(options.start, problem)
-        if start is not None:
-            self.routing = with_trees(self.routing, start)
-        if prices is not None:
-            self.routing.price[:] = prices * UNIT
+        if options.start is not None:
+            self.routing = with_trees(self.routing, Solution.read(options.start, problem))
         if options.cost == "ispd2024":
             self._arrays, self.routing = with_contest(problem, self._arrays, self.routing)
-        if taken is not None:
-            self.routing.remaining[:] -= taken
         self.progress = self.routing.progress[0]
-        self.progress["present"] = present
         nets = len(self.routing.order)
-        self.from_patterns = nets > _LARGE or present > 0
+        self.from_patterns = nets > _LARGE
         self._batch = make_batch(nets) if nets > MANY else None
         if self._batch is not None:
             options = replace(options, lp_passes=0)
