@@ -320,19 +320,12 @@ class BatchEnv(EzPickle):
 
     def __getstate__(self) -> dict[str, Any]:
         """The constructor's arguments and the present state, from which a copy continues."""
-        order = self.engine.static.order
-        return {
-            **super().__getstate__(),
-            "order": order,
-            "saved": self.save(),
-            "begun": self._begun,
-        }
+        return {**super().__getstate__(), "saved": self.save(), "begun": self._begun}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Makes the environment again and restores the state."""
         super().__setstate__(state)
         self.restore(state["saved"])
-        self.engine.static.order[...] = state["order"]
         self._begun = state["begun"]
 
     def save(self) -> list[Saved]:
@@ -349,19 +342,6 @@ class BatchEnv(EzPickle):
         """Ends the threads. The environment plays on if it is used again."""
         self._threads.shutdown()
         self._start_threads()
-
-    def set_order(self, order: NDArray[np.integer]) -> None:
-        """Sets the turn order of each problem's agents; call :meth:`reset` afterwards.
-
-        Args:
-            order: (M, N) integers, see :meth:`marouting.Engine.set_order`.
-
-        Raises:
-            ValueError: the order is invalid, or problems are not fixed.
-        """
-        if self._draws is not None:
-            raise ValueError("order: expected fixed problems")
-        self.engine.set_order(order)
 
     def _info(self) -> Info:
         b, games = self._buffers, self.engine.games

@@ -135,7 +135,6 @@ def test_masks_and_observations_are_those_of_agents(problems: Any, agents: Any) 
         (lambda: generate(1.5), "count: expected a whole number"),
         (lambda: generate(1, nets=2.5), "nets: expected a whole number"),
         (lambda: generate(1, seed=1.5), "seed: expected a whole number or null, found 1.5"),
-        (lambda: Engine([PROBLEM]).set_order(np.zeros((1, 3))), "order: expected integers"),
     ],
 )
 def test_other_arguments(call: Callable[[], Any], message: str) -> None:

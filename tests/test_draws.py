@@ -219,10 +219,8 @@ def test_what_cannot_be_drawn_is_refused(arguments: dict[str, Any], said: str) -
         BatchEnv(**arguments)
 
 
-def test_an_order_of_nets_needs_problems_that_stay() -> None:
+def test_games_that_draw_restore_only_games_that_draw() -> None:
     env = BatchEnv(2, problem=SET)
-    with pytest.raises(ValueError, match="order: expected fixed problems"):
-        env.set_order(env.engine.static.order)
     other = BatchEnv(SET[:2])
     other.reset()
     with pytest.raises(ValueError, match="counts: expected those of other games"):

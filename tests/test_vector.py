@@ -239,9 +239,6 @@ def test_a_copy_by_pickle_plays_alike() -> None:
 
 def test_a_copy_in_mid_episode_goes_on() -> None:
     env = BatchEnv(PROBLEMS, max_steps=7, threads=2)
-    env.set_order(
-        env.engine.static.order[:, ::-1] if env.present.all() else env.engine.static.order
-    )
     env.reset()
     for _ in range(3):
         env.step(np.ones((env.num_problems, env.num_agents), np.int8))

@@ -414,7 +414,7 @@ def test_widths_scale_with_capacities() -> None:
 @examples(10)
 @given(contested(max_nets=6), st.integers(0, 1000))
 def test_the_past_of_an_engine_makes_no_difference(problem: Problem, seed: int) -> None:
-    """Steps, resets, orders, saved states, parts: the same as in an engine that just got there."""
+    """Steps, resets, saved states, parts: the same as in an engine that just got there."""
     window, rng = WindowObservation(1, 1, CHANNELS), np.random.default_rng(seed)
 
     def engine_of(problems: list[Problem]) -> Engine:
@@ -423,16 +423,13 @@ def test_the_past_of_an_engine_makes_no_difference(problem: Problem, seed: int) 
     engine = engine_of([problem] * 3)
     saved = engine.save()
     for _ in range(12):
-        what = rng.integers(8)
+        what = rng.integers(7)
         if what == 0:
             engine.reset(rng.integers(0, 2, 3).astype(bool))
         elif what == 1:
             saved = engine.save()
         elif what == 2:
             engine.restore(saved)
-        elif what == 3:
-            count = int((engine.nets[0] != NOBODY).sum())
-            engine.set_order(np.tile(rng.permutation(count), (3, 1)))
         else:
             engine.step(rng.integers(-1, 6, engine.nets.shape))
         fresh = engine_of([problem] * 3)

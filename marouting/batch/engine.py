@@ -319,32 +319,6 @@ class Engine:
         for name, array in self.dynamic._asdict().items():
             array[...] = getattr(saved, name)
 
-    def set_order(self, order: NDArray[np.integer]) -> None:
-        """Sets the turn order of each problem's agents, and starts all episodes.
-
-        Args:
-            order: (M, N) integers. Each row holds the problem's agents in the order of their turns,
-                followed by NOBODY.
-
-        Raises:
-            ValueError: the shape is wrong, or a row does not hold each of its agents once.
-        """
-        order = np.asarray(order)
-        if order.shape != self.nets.shape or order.dtype.kind not in "iu":
-            raise ValueError(
-                f"order: expected integers of shape {self.nets.shape}, "
-                f"found {order.dtype} of shape {order.shape}"
-            )
-        for m, row in enumerate(order):
-            count = int((self.nets[m] != NOBODY).sum())
-            if (
-                not np.array_equal(np.sort(row[:count]), np.arange(count))
-                or (row[count:] != NOBODY).any()
-            ):
-                raise ValueError(f"order: expected agents 0 to {count - 1} once in row {m}")
-        self.static.order[...] = order
-        self.reset()
-
     def check(self, moves: NDArray[np.integer]) -> None:
         """Raises ValueError for moves that :meth:`move` does not accept."""
         # The compiled functions use these as indices without checking them.

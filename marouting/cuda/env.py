@@ -93,7 +93,7 @@ class CudaBatchEnv(BatchEnv):
 
     Raises:
         InputError: no device can be used, it has too little memory, or an option is not supported
-            there: observations and rewards of your own, ``agents_persist`` and ``set_order``.
+            there: observations and rewards of your own, and ``agents_persist``.
     """
 
     def __init__(
@@ -424,11 +424,6 @@ class CudaBatchEnv(BatchEnv):
     def close(self) -> None:
         """Waits for the device."""
         self._device.synchronize()
-
-    def set_order(self, order: NDArray[np.integer]) -> None:
-        """Not on a device: raises InputError."""
-        del order
-        check("device", False, "cpu, for set_order")
 
 
 def unsupported(observation: Any, reward: Any) -> Iterator[tuple[str, str]]:
