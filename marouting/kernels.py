@@ -99,6 +99,17 @@ def as_index(index: Any) -> int:
     return np.int64(np.uint32(index))  # type: ignore[return-value]
 
 
+@compiled
+def mixed(z: Any) -> Any:
+    """64 pseudo-random bits, a function of a number, both uint64: the finisher of SplitMix64.
+
+    Steele, Lea and Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014.
+    """
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return z ^ (z >> np.uint64(31))
+
+
 def specialised(kernel: Any, *examples: Any) -> Callable[..., Any]:
     """The machine code of a kernel, for arguments of the types of the examples.
 

@@ -28,7 +28,6 @@ from marouting.cuda.games import (
     Step,
     Surroundings,
     launches,
-    mixed,
     prepare_nothing,
     prepare_window,
     see_paper,
@@ -37,6 +36,7 @@ from marouting.cuda.games import (
     tell_window,
 )
 from marouting.game import NOBODY
+from marouting.kernels import mixed
 from marouting.observations import Observation, PaperObservation, state_space_of
 from marouting.player import FastPath, StepBuffers
 from marouting.problem.grid import AXES, VIA_AXIS, Grid

@@ -36,7 +36,7 @@ from marouting.batch.window import write_window_state
 from marouting.batch.window_rows import Where, count_heads, write_window
 from marouting.errors import InputError
 from marouting.game import NOBODY, Ending
-from marouting.kernels import i64
+from marouting.kernels import i64, mixed
 from marouting.player import (
     ALL,
     NOT,
@@ -223,7 +223,7 @@ def _load() -> Any:
 
 @functools.cache
 def _make_known() -> None:
-    """In code for the device, a kernel stands for what numba-cuda makes of it."""
+    """Lets code for the device call kernels: numba-cuda sees a device function."""
     from numba.core.registry import cpu_target
     from numba.cuda.typing.typeof import typeof_impl
 
@@ -256,14 +256,6 @@ class _Arguments:
 
 
 # --- kernels --------------------------------------------------------------------------------------
-
-
-@kernels.compiled
-def mixed(z: Any) -> Any:
-    """uint64, the finisher of SplitMix64 (Steele, Lea, Flood, 2014)."""
-    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return z ^ (z >> np.uint64(31))
 
 
 @kernels.compiled

@@ -26,7 +26,7 @@ from marouting.config import build, check
 from marouting.cuda import games as device
 from marouting.cuda.env import CudaBatchEnv
 from marouting.files import check_writable, write_text
-from marouting.kernels import compiled, i64
+from marouting.kernels import compiled, i64, mixed
 from marouting.options import game_options
 from marouting.vector import BatchEnv
 from policies.bench.measure import machine
@@ -165,7 +165,7 @@ def compare(
 def random_move(mask: Any, m: int, row: int, counter: int) -> int:
     """A random move that the mask allows."""
     place = np.uint64(m * mask.shape[1] + row)
-    z = device.mixed(
+    z = mixed(
         np.uint64(counter) * np.uint64(0x9E3779B97F4A7C15) + place * np.uint64(0x2545F4914F6CDD1D)
     )
     free = i64(0)

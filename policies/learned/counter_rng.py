@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from marouting.kernels import compiled
+from marouting.kernels import compiled, mixed
 
 
 def keys(seed: int, names: Sequence[str], purpose: str) -> NDArray[np.uint64]:
@@ -33,13 +33,9 @@ def keys(seed: int, names: Sequence[str], purpose: str) -> NDArray[np.uint64]:
 @compiled
 def uniform(key: Any, counter: int, lane: int) -> float:
     """The number in [0, 1) of a key, a counter and a lane below 2¹⁶ (draws of one counter)."""
-    z = key + (np.uint64(counter) * np.uint64(65536) + np.uint64(lane) + np.uint64(1)) * np.uint64(
-        0x9E3779B97F4A7C15
-    )
-    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    z = z ^ (z >> np.uint64(31))
-    return float(z >> np.uint64(11)) * 2.0**-53
+    number = np.uint64(counter) * np.uint64(65536) + np.uint64(lane) + np.uint64(1)
+    bits = mixed(key + number * np.uint64(0x9E3779B97F4A7C15))
+    return float(bits >> np.uint64(11)) * 2.0**-53
 
 
 _STEP, _FIRST, _SECOND = (

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from marouting.kernels import compiled, i64
+from marouting.kernels import compiled, i64, mixed
 from marouting.problem.contest import SLOPE, WITHOUT
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.trees.exact_tree import Search, exact_tree
@@ -31,23 +31,10 @@ _MOST_OVERFLOW = 1000  # tracks of overflow beyond which more cost the same: cos
 
 
 @compiled
-def mixed(number: int) -> int:
-    """64 pseudo-random bits, a function of a number.
-
-    SplitMix64 (Steele, Lea and Flood, "Fast splittable pseudorandom number generators", OOPSLA
-    2014).
-    """
-    bits = np.uint64(number)
-    bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return i64(bits ^ (bits >> np.uint64(31)))
-
-
-@compiled
 def draw(progress: Any) -> int:
     """A random number of 31 bits."""
     progress.random += np.int64(GOLDEN)
-    return i64(np.uint64(mixed(progress.random)) >> np.uint64(33))
+    return i64(mixed(np.uint64(progress.random)) >> np.uint64(33))
 
 
 @compiled

@@ -17,9 +17,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.kernels import compiled, i64
+from marouting.kernels import compiled, i64, mixed
 from marouting.problem.grid import AXES, VIA_AXIS
-from policies.routers.pathfinder.kernels import GOLDEN, mixed
+from policies.routers.pathfinder.kernels import GOLDEN
 from policies.routers.pathfinder.state import UNIT, ProblemArrays, Routing, widened
 
 _ITERATIONS, _LATER = 60, 20
@@ -80,7 +80,7 @@ def _collect(problem: ProblemArrays, routing: Routing, columns: Columns, begin: 
             edge = i64(routing.edge[i])
             if edge % AXES == VIA_AXIS:
                 continue  # has no capacity
-            mark += mixed((edge + 1) * np.int64(GOLDEN))
+            mark += i64(mixed(np.uint64((edge + 1) * np.int64(GOLDEN))))
         column = i64(columns.latest[net])
         while column >= 0 and columns.mark[column] != mark:
             column = i64(columns.before[column])
