@@ -120,7 +120,7 @@ _said: set[tuple[str, int]] = set()
 
 @functools.cache
 def _make_known(kind: Any) -> None:
-    """In other kernels, a kernel of this class stands for what numba makes of it for them."""
+    """Lets one kernel call another: numba sees the callee's dispatcher."""
     register: Any = typeof_impl.register(kind)
     register(lambda kernel, context: typeof_impl(kernel.part, context))
 

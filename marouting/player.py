@@ -134,8 +134,8 @@ class FastPath(NamedTuple):
     everyone: bool  # whether all agents have a row, or only the one whose turn it is
     observation: bool  # whether the observation is the paper's
     reward: bool  # whether the reward is nothing but the following prices
-    shares: bool | None  # True if they are more than the table, which only pays the agent that
-    # moves, otherwise None: then compiled code knows by the type that it need not look
+    shares: bool | None  # True: prices beside the table, which only pays the agent that moves.
+    # None, not False: numba then compiles the check away
     via_capacity: float  # see PaperObservation
     table: NDArray[np.float32]  # (5, 3) see marouting.rewards.Prices
     overflow_price: float  # see Prices.added_overflow

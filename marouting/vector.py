@@ -45,7 +45,7 @@ class BatchEnv(EzPickle):
     agents exist. The arrays that :meth:`reset`, :meth:`step` and :meth:`state` return belong to the
     environment and are overwritten by the next call, so copy what you want to keep.
 
-    The rows of agents that are done stay, and are paid until the problem's episode is over. With
+    Rows of finished agents remain and still receive rewards until the episode ends. With
     ``agents_persist`` they are terminated or truncated only then, all together, and their masks
     allow a single action, which has no effect.
 

@@ -1,7 +1,7 @@
 """Rip-up and reroute: after all nets have routed, some are routed again around the others.
 
-:class:`marouting.rules.RipUp` has the options, and the section "Rip-up and reroute" of
-:mod:`marouting.game` the rules in plain Python.
+Options: :class:`marouting.rules.RipUp`. Rules in plain Python: :mod:`marouting.game`, "Rip-up and
+reroute".
 
 Where nets negotiate (:class:`marouting.batch.prices.Negotiation`) the first walk and some rounds
 are **priced**. In such a round every net is rerouted alone, in random order or that of

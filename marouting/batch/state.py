@@ -84,9 +84,9 @@ GAME = np.dtype(
 class Option(enum.IntEnum):
     """Places in ``Static.options``.
 
-    The state of the options is kept in two arrays, because every array costs time whenever compiled
-    code is called. From ``TREE`` to ``BEST`` are rows of ``Dynamic.sets``, from ``LINE`` on
-    columns of ``Dynamic.numbers``; -1 stands for an option that is switched off.
+    The state of the options is in two arrays instead of many: numba unpacks every array at each
+    call. From ``TREE`` to ``BEST`` are rows of ``Dynamic.sets``, from ``LINE`` on columns of
+    ``Dynamic.numbers``; -1 stands for an option that is switched off.
     """
 
     TREE_TARGET = 0  #: whether any Gcell of the net's tree ends a task

@@ -91,7 +91,7 @@ class Search(NamedTuple):
     goal_count: NDArray[np.int64]  # (1,)
     box: NDArray[np.int64]  # (3, 2) lowest and highest x, y, z of a goal
     depth: NDArray[np.int64]  # (G,) base[0] + walls between a Gcell and the goals; less: unknown
-    base: NDArray[np.int64]  # (1,) rises from flood to flood, so that depth need not be cleared
+    base: NDArray[np.int64]  # (1,) added to every depth; smaller values are from earlier floods
     flood: NDArray[np.int32]  # (G,) the Gcells that the last flood reached, in order
     path: NDArray[np.int8]  # (G,) the moves of the path found
 

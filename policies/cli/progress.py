@@ -93,7 +93,7 @@ def problems_bar(name: str) -> Iterator[Callable[[float, int], None]]:
     """Shows the progress of work on one problem after another.
 
     Yields:
-        A function to call with the number of problems done so far, and their number in all.
+        A function to call with the number of problems done so far and the total.
     """
     with _bar("problems") as (bar, task):
         bar.update(task, description=name)

@@ -52,7 +52,7 @@ PRICES = (0.5, 1, 2, 4, 8, 16, 100)
 
 SELFISH = LocalRouter(radius=None)
 DETOUR = LocalRouter(radius=None, price=PRICES[-1])
-"""Takes any way around edges with few tracks left."""
+"""Prices so high that it makes long detours around nearly full edges."""
 
 RULES = (
     LocalRouter(rule="random", radius=None),

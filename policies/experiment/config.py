@@ -129,8 +129,8 @@ def _check_set(name: str) -> None:
 class Budget:
     """What a router may spend on a problem.
 
-    It fills in the router's option ``seconds`` or ``time_limit``, or ``best_of`` or
-    ``train.episodes``, where it has one and is not told otherwise.
+    Time sets the option ``seconds`` or ``time_limit``, samples set ``best_of``, unless the router
+    has no such option or the user has set it. Samples set ``train.episodes`` of a learner.
 
     Attributes:
         seconds: time; None if the budget is of samples.

@@ -191,8 +191,8 @@ class Experiment:
 
         Args:
             watch: called about once a second with the number of problems routed so far, a training
-                under way counting as a fraction, and their number in all. A problem counts once for
-                each router and seed.
+                under way counting as a fraction, and the total. A problem counts once for each
+                router and seed.
 
         Returns:
             What ``summary.json`` holds.

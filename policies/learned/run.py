@@ -301,7 +301,7 @@ class Run:
 
     @property
     def episodes(self) -> tuple[int, int]:
-        """The episodes finished so far, and their number in all, of all problems together."""
+        """The episodes finished so far and the total, of all problems together."""
         total = self.config.train.episodes * len(self.trainer.episodes)
         return int(self.trainer.episodes.sum()), total
 

@@ -44,11 +44,10 @@ class PathfinderOptions:
         history_increment: amount that an overflowed edge's price rises before each negotiating
             pass, in edges (h in PathFinder).
         history_decay: share of the prices that is kept when the next round begins.
-        step_decay: how soon prices come to rest. After r rounds they rise by ``history_increment /
-            (1 + step_decay r)``, and lose ``(1 - history_decay) / (1 + step_decay r)`` when the
-            next one begins: such steps are usual in subgradient methods (Held, Wolfe and Crowder,
-            "Validation of subgradient optimization", Mathematical Programming 6, 1974). 0: all
-            rounds are alike.
+        step_decay: after r rounds, price changes (by ``history_increment``, and by ``1 -
+            history_decay``) are divided by ``1 + step_decay r``, as is usual in subgradient methods
+            (Held, Wolfe and Crowder, "Validation of subgradient optimization", Mathematical
+            Programming 6, 1974). 0: constant.
         stall_passes: a round stops negotiating after this many passes in a row without a decrease
             in overflow.
         min_overflow_drop: share by which the overflow has to fall to count as a decrease.
