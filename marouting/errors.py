@@ -39,7 +39,7 @@ RENAMED = {
     "learned": "generalist",
     "regions": "pathfinder with threads=2",
 }
-"""Names of routers before version 0.3, and what they are called now."""
+"""Former names of routers, and what takes their place."""
 
 
 def nearest(name: str, known: Iterable[str], cutoff: float = 0.6) -> str:

@@ -894,6 +894,7 @@ def test_the_tuned_schedule_is_that_of_its_time() -> None:
         ("evolved", "pathfinder with schedule=tuned"),
         ("heuristic", "greedy"),
         ("learned", "generalist"),
+        ("regions", "pathfinder with threads=2"),
     ],
 )
 def test_old_names_of_routers_are_refused_with_the_new(old: str, new: str) -> None:
