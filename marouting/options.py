@@ -90,6 +90,9 @@ class GameOptions(Rules):
             what = " and ".join((*methods, f"{columns} or {plain}"))
             fits = defined.issuperset(methods) and defined & {columns, plain}
             check(name, fits, f"an object that has {what}, found {given.name}")
+        shown = getattr(self.observation.options, "shown_bits", 0)
+        what = f"{shown}, as in observation.message_bits, found {self.message_bits}"
+        check("message_bits", shown in (0, self.message_bits), what)
         taken = {self.mask.observation_key, *TOLD}
         check("mask.mask_key", self.mask.mask_key not in taken, "a name of its own")
 

@@ -3,8 +3,10 @@
 ``tests/test_game.py`` and ``tests/test_one_game.py`` hold the plain game and the batch equal.
 """
 
+import re
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -137,6 +139,46 @@ def test_options_that_cannot_be_had(options: dict[str, Any], message: str) -> No
     assert message in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("channels", "shown", "written", "message"),
+    [
+        ("messages", 1, 2, "message_bits: expected 1, as in observation.message_bits, found 2"),
+        ("messages", 1, 0, "message_bits: expected 1, as in observation.message_bits, found 0"),
+        ("messages", 3, 2, "message_bits: expected 3, as in observation.message_bits, found 2"),
+        ("messages", 2, 2, None),
+        ("heads", 1, 2, None),  # nothing shows the messages, but an observation may read them
+    ],
+)
+def test_windows_show_all_bits_that_agents_write(
+    channels: str, shown: int, written: int, message: str | None
+) -> None:
+    sees = {"kind": "window", "channels": [channels], "message_bits": shown}
+    env = {"message_bits": written, "observation": sees}
+    window = marouting.WindowObservation(channels=(channels,), message_bits=shown)  # type: ignore[arg-type]
+    single = lambda **options: gymnasium.make("marouting/GlobalRouting-v0", **options)  # noqa: E731
+    config = [
+        f"env.message_bits={written}", "env.observation.kind=window",
+        f"env.observation.channels=[{channels}]", f"env.observation.message_bits={shown}",
+    ]  # fmt: skip
+    for make in (
+        lambda: global_routing_v0.env(two_nets(), **env),
+        lambda: global_routing_v0.parallel_env(two_nets(), **env),
+        lambda: global_routing_v0.parallel_env(
+            two_nets(), message_bits=written, observation=window
+        ),
+        lambda: single(problem=two_nets(), **env),
+        lambda: gymnasium.make_vec("marouting/GlobalRouting-v0", problem=two_nets(), **env),
+        lambda: BatchEnv([two_nets()], **env),
+        lambda: marouting.make({"env": env}),
+        lambda: load_config(None, config),
+    ):
+        if message is None:
+            make()
+            continue
+        with pytest.raises(InputError, match=rf"(^|: |\.){re.escape(message)}$"):
+            make()
+
+
 @pytest.mark.parametrize("kind", ["dqn", "ppo"])
 def test_trainings_with_messages(kind: str, tmp_path: Any) -> None:
     config = load_config(
@@ -146,6 +188,7 @@ def test_trainings_with_messages(kind: str, tmp_path: Any) -> None:
             "train.tensorboard=false", "train.figures=false", "train.shared=true",
             "env.agents=multi", "env.wait=true", "env.message_bits=2", "env.max_steps=6",
             "env.observation.kind=window", "env.observation.channels=[heads,messages]",
+            "env.observation.message_bits=2",
             "env.problem.grid=[4,4,1]", "env.problem.nets=3", "env.problem.reduced_edges=0",
         ],
     )  # fmt: skip

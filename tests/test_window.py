@@ -49,7 +49,11 @@ from policies.learned.config import Config
 from policies.learned.policy import TrainedPolicy
 from policies.learned.run import Run
 
-ALL = {"kind": "window", "radius": 1, "channels": list(CHANNELS)}
+ALL: dict[str, Any] = {
+    "observation": {"kind": "window", "radius": 1, "channels": list(CHANNELS)},
+    "message_bits": 1,
+}
+"""Options of games whose agents see all channels."""
 
 
 # --- the oracle -----------------------------------------------------------------------------------
@@ -531,11 +535,11 @@ def test_states_of_every_face() -> None:
     problem = generate(1, grid=(5, 4, 2), nets=6, seed=3)[0]
     expected_shape = (5, 4, 2 * 12)
     for make in (global_routing_v0.env, global_routing_v0.parallel_env):
-        env = make(problem, observation=ALL)
+        env = make(problem, **ALL)
         env.reset()
         assert env.state_space.shape == env.state().shape == expected_shape
         assert env.state_space.contains(env.state())
-    batch = BatchEnv([problem] * 3, observation=ALL)
+    batch = BatchEnv([problem] * 3, **ALL)
     batch.reset()
     assert batch.single_state_space.shape == expected_shape
     np.testing.assert_array_equal(batch.state()[1], env.state())
@@ -645,12 +649,12 @@ def test_threads_and_copies_of_a_batch(everyone: bool) -> None:
     problems = generate(5, grid=(4, 4, 2), nets=5, seed=1)
 
     def walk(threads: int, cut: bool) -> list[Any]:
-        env = BatchEnv(problems, everyone=everyone, threads=threads, observation=ALL, max_steps=6)
+        env = BatchEnv(problems, everyone=everyone, threads=threads, max_steps=6, **ALL)
         rng, shown = np.random.default_rng(0), [env.reset()[0].copy()]
         for step in range(30):
             if cut and step == 15:
                 env = copy.deepcopy(env)
-            obs, reward, *_ = env.step(rng.integers(0, 6, (5, shown[0].shape[1])))
+            obs, reward, *_ = env.step(rng.integers(0, 12, (5, shown[0].shape[1])))
             shown += [obs.copy(), reward.copy(), env.state().copy()]
         return shown
 
@@ -673,7 +677,7 @@ def no_warnings() -> Iterator[None]:
 @pytest.mark.usefixtures("no_warnings")
 @pytest.mark.parametrize("persists", [False, True])
 def test_the_checks_of_pettingzoo(persists: bool) -> None:
-    options: dict[str, Any] = {"observation": ALL, "agents_persist": persists, "max_steps": 8}
+    options: dict[str, Any] = {**ALL, "agents_persist": persists, "max_steps": 8}
     api_test(global_routing_v0.env(**options), num_cycles=100)
     parallel_api_test(global_routing_v0.parallel_env(**options), num_cycles=100)
     seed_test(lambda: global_routing_v0.env(**options), num_cycles=20)
@@ -681,7 +685,7 @@ def test_the_checks_of_pettingzoo(persists: bool) -> None:
 
 
 def test_the_checks_of_gymnasium() -> None:
-    env = gymnasium.make(marouting.ENVIRONMENT_ID, observation=ALL).unwrapped
+    env = gymnasium.make(marouting.ENVIRONMENT_ID, **ALL).unwrapped
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_env(env, skip_render_check=True)

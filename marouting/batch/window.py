@@ -125,7 +125,7 @@ class WindowObservation:
         channels: the quantities shown, some of ``capacity``, ``demand``, ``history``, ``own``,
             ``pins``, ``heads`` and ``messages``.
         message_bits: how many bits of messages are shown in that channel, 1 to 8, the lowest first.
-            The rules say how many agents write.
+            Environments refuse another number than that of their rules.
     """
 
     radius: int = 2
@@ -146,12 +146,17 @@ class WindowObservation:
         return None if "demand" in self.channels else self.radius
 
     @property
+    def shown_bits(self) -> int:
+        """Bits of messages in a row: ``message_bits``, or 0 without the channel ``messages``."""
+        return self.message_bits if "messages" in self.channels else 0
+
+    @property
     def _blocks(self) -> list[tuple[Channel, str, int]]:
         """Channel, name and kind of all blocks, in their order."""
         found: list[tuple[Channel, str, int]] = []
         for channel in CHANNELS:
-            if channel == "messages" in self.channels:
-                found += [(channel, f"messages_{bit}", _GCELLS) for bit in range(self.message_bits)]
+            if channel == "messages":
+                found += [(channel, f"messages_{bit}", _GCELLS) for bit in range(self.shown_bits)]
             elif channel in self.channels:
                 found += [(channel, channel + _NAMES[kind], kind) for kind in _BLOCKS[channel]]
         return found

@@ -78,7 +78,11 @@ CASES: Sequence[Mapping[str, Any]] = (
     {"rip_up": {"rounds": 2, "choose": "history"}},
     {"observation": WINDOW, "reward": "team"},
     {"observation": WINDOW_ALL, "reward": "counterfactual", "everyone": False},
-    {"observation": {**WINDOW, "channels": ["messages"]}, "wait": True, "message_bits": 3},
+    {
+        "observation": {**WINDOW, "channels": ["messages"], "message_bits": 3},
+        "wait": True,
+        "message_bits": 3,
+    },
 )
 """Options by which games are compared."""
 
