@@ -38,6 +38,9 @@ _folder: ContextVar[str | None] = ContextVar("folder", default=None)
 _HOMES = {"observation": "marouting.observations", "reward": "marouting.rewards"}
 """The modules that register this package's own pieces."""
 
+_PACKAGE = ("marouting.", "policies.")
+"""How the paths of the package's own pieces begin."""
+
 _registered: dict[str, dict[str, type[Any] | str]] = {kind: {} for kind in KINDS}
 
 
@@ -68,15 +71,22 @@ def register(kind: str, name: str, cls: type[Any] | str) -> None:
 
     Args:
         kind: one of :data:`KINDS`.
-        name: the name. Registering it again replaces the class.
+        name: the name, which no piece of the package has. Registering it again replaces the class.
         cls: the class, or ``module:Class``, which is imported when it is first used.
 
     Raises:
-        InputError: there is no such kind, or the name contains a colon.
+        InputError: there is no such kind, the name contains a colon, or a piece of the package has
+            it.
     """
     _check_kind(kind)
     if not name or ":" in name:
         raise InputError(f"{kind}: expected a name without a colon, found {name!r}")
+    # The package may register its own pieces after the user did.
+    paths = {_path(cls), _path(_registered[kind].get(name, cls))}
+    if len(paths) > 1 and any(path.startswith(_PACKAGE) for path in paths):
+        raise InputError(
+            f"{kind}: expected a name that no {kind} of the package has, found {name!r}"
+        )
     _registered[kind][name] = cls
 
 
@@ -91,7 +101,7 @@ def registered() -> list[tuple[str, str, str]]:
     for kind in KINDS:
         _check_kind(kind)
     return [
-        (kind, name, cls if isinstance(cls, str) else f"{cls.__module__}:{cls.__qualname__}")
+        (kind, name, _path(cls))
         for kind, known in _registered.items()
         for name, cls in known.items()
     ]
@@ -156,11 +166,16 @@ def importing_from(folder: str | os.PathLike[str]) -> Iterator[None]:
 
 def name_of(kind: str, cls: type[Any]) -> str:
     """The registered name of a class, or else ``module:Class``."""
-    path = f"{cls.__module__}:{cls.__qualname__}"
+    path = _path(cls)
     for name, found in _registered[kind].items():
         if found is cls or found == path:
             return name
     return path
+
+
+def _path(cls: type[Any] | str) -> str:
+    """``module:Class``."""
+    return cls if isinstance(cls, str) else f"{cls.__module__}:{cls.__qualname__}"
 
 
 def _check_kind(kind: str) -> None:

@@ -452,3 +452,19 @@ def test_kinds_and_names_are_checked() -> None:
         marouting.register("rewards", "x", Team)
     with pytest.raises(InputError, match="expected a name without a colon"):
         marouting.register("reward", "a:b", Team)
+
+
+def test_names_of_the_package_stay_its_own() -> None:
+    import policies.learned.networks
+    import policies.routers  # noqa: F401
+
+    for kind, name, cls in registry.registered():
+        if cls.startswith(("marouting.", "policies.")):
+            marouting.register(kind, name, cls)  # as a process does for those that it starts
+            with pytest.raises(InputError, match=f"^{kind}: expected a name that no {kind} of the"):
+                marouting.register(kind, name, Team)
+            assert registry.lookup(kind, name) is not Team
+    # A package that announces a piece may be first.
+    marouting.register("network", "late-of-this-test", Team)
+    with pytest.raises(InputError, match="found 'late-of-this-test'"):
+        marouting.register("network", "late-of-this-test", "policies.learned.networks.mlp:MLP")
