@@ -646,7 +646,7 @@ def piece(kind: str, raw: Any, default: str | None = None, where: str = "") -> C
     """
     if isinstance(raw, Component):
         return raw
-    if isinstance(raw, bool | int | float | list | tuple):
+    if isinstance(raw, bool | int | float | list | tuple | type):
         raise InputError(f"{_prefix(where)}expected a name or a mapping with kind, found {raw!r}")
     if raw is not None and not isinstance(raw, str | Mapping):
         return Component(kind, name_of(kind, type(raw)), type(raw), raw, given=True)
@@ -836,5 +836,6 @@ def unknown_key(key: str, known: Sequence[str]) -> str:
     close = difflib.get_close_matches(key.rpartition(".")[2], known, n=1, cutoff=0.5)
     # What follows must not lie in the middle of a long message, which is left out.
     listed = textwrap.shorten(", ".join(known), _LISTED, placeholder=" …")
-    expected = f"did you mean {close[0]}?" if close else f"expected one of {listed}"
+    listed = f"one of {listed}" if known else "none"
+    expected = f"did you mean {close[0]}?" if close else f"expected {listed}"
     return f"{key}: unknown key; {expected}"

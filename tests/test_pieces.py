@@ -430,6 +430,8 @@ def test_a_registered_name_stands_wherever_a_piece_does() -> None:
         ({"reward": f"{HERE}:Nothing"}, "there is no class Nothing"),
         ({"reward": "nowhere.at_all:Team"}, "there is no module nowhere"),
         ({"observation": {"kind": 3}}, "observation: kind: expected a name, found 3"),
+        ({"observation": Crowd}, "observation: expected a name or a mapping with kind, found <cl"),
+        ({"reward": Team}, "reward: expected a name or a mapping with kind, found <class"),
         ({"observation": {"via_capacity": -1}}, "via_capacity: expected a number from 0"),
     ],
 )
