@@ -298,7 +298,8 @@ class MixedReward:
 
     Attributes:
         parts: for each reward a mapping with ``kind``, its options, and its ``weight`` (1 unless
-            it is given).
+            it is given). If no parts are given, these are ``paper`` and ``potential``. A reward
+            that has only ``pay`` cannot be a part.
     """
 
     parts: tuple[Mapping[str, Any], ...] = ({"kind": "paper"}, {"kind": "potential"})
@@ -317,7 +318,10 @@ class MixedReward:
             weight = options.pop("weight", 1.0)
             fits = isinstance(weight, int | float) and math.isfinite(weight)
             check(f"parts.{number}.weight", fits, f"a finite number, found {weight!r}")
-            made.append((float(weight), piece("reward", options, where=f"parts.{number}").make()))
+            reward = piece("reward", options, where=f"parts.{number}").make()
+            what = f"a reward that has __call__, not pay alone, found {type(reward).__name__}"
+            check(f"parts.{number}", callable(reward), what)
+            made.append((float(weight), reward))
         return made
 
     def __call__(

@@ -324,6 +324,13 @@ def test_trainings_and_batches_take_them() -> None:
     assert len(episodes) == 3
 
 
+class OnlyPays:
+    """A reward in the simple form."""
+
+    def pay(self, *_: Any) -> float:
+        return 1.0
+
+
 @pytest.mark.parametrize(
     ("reward", "message"),
     [
@@ -332,6 +339,14 @@ def test_trainings_and_batches_take_them() -> None:
         ({"kind": "mixed", "parts": []}, "parts: expected at least one reward"),
         ({"kind": "mixed", "parts": [{"kind": "tame"}]}, "parts.0: unknown reward 'tame'; did you"),
         ({"kind": "mixed", "parts": [{"weight": "much"}]}, "parts.0.weight: expected a finite"),
+        (
+            {"kind": "mixed", "parts": [{"kind": "paper"}, {"kind": f"{__name__}:OnlyPays"}]},
+            "reward.parts.1: expected a reward that has __call__, not pay alone, found OnlyPays",
+        ),
+        (
+            {"kind": "mixed", "parts": [{"kind": f"{__name__}:OnlyPays", "price": 2}]},
+            "^reward.parts.0.price: unknown key; expected none$",
+        ),
     ],
 )
 def test_rewards_that_cannot_be_used(reward: Any, message: str) -> None:
