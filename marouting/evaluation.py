@@ -160,6 +160,7 @@ def play_split(
     """The games of :func:`evaluate_policy`, at their end."""
     given: dict[str, Any] = {**options, "scenario": scenario, "split": split}
     _ = get(scenario).problems(split)  # or an error
+    given.pop("agents", None)  # the turn order decides who has a row
     sequential = game_options(given).turn_order == "sequential"
     env = BatchEnv(everyone=not sequential, play_once=True, threads=threads, **given)
     if local is not False:

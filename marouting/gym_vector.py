@@ -63,7 +63,7 @@ class GlobalRoutingVector(VectorEnv[Any, Any, Any]):
         check("autoreset_mode", autoreset_mode in modes, what)
         self._mode = modes[autoreset_mode]
         rules = {key: value for key, value in options.items() if key not in ("threads", "seed")}
-        self._options = game_options({**rules, "render_mode": render_mode})
+        self._options = game_options({**rules, "render_mode": render_mode}, "single")
         self._mask = self._options.mask
         check("agents_persist", not self._options.agents_persist, "false: only one player")
         check("render_mode", render_mode != "human", "ansi, rgb_array or None, for many games")

@@ -130,23 +130,28 @@ def with_suggestions(options: Mapping[str, Any]) -> dict[str, Any]:
     return dict(options)
 
 
-def game_options(options: Mapping[str, Any]) -> GameOptions:
+def game_options(options: Mapping[str, Any], agents: Agents | None = None) -> GameOptions:
     """Checks options given as keywords, and adds those that their scenario suggests.
 
     Args:
         options: fields of :class:`GameOptions`; ``observation`` and ``reward`` may also be objects.
+            ``agents`` may be among them, as in a scenario's options, and must fit the interface.
+        agents: what the interface plays with, which also decides the turn order if the options give
+            none; None: either, and the turn order stays open.
 
     Raises:
         UnknownOption: there is no such option.
         InputError: an option cannot be used; the message names it and what was expected.
     """
-    known = [field.name for field in fields(GameOptions)]
+    known = [field.name for field in fields(EnvOptions)]
     for name in options:
         if name not in known:
             what = f"got an unexpected keyword argument {name!r}"
             raise UnknownOption(f"{unknown_key(name, known)} ({what})")
+    found = options.get("agents", agents)
+    check("agents", agents in (None, found), f"{agents} in this interface, found {found!r}")
     plain = with_suggestions(options)
-    plain.pop("agents", None)  # of the interface
+    plain.pop("agents", None)
     for name in ("observation", "reward"):
         check(name, plain.get(name, name) is not None, "a name, a mapping or an object, found None")
     pieces = {
@@ -154,4 +159,7 @@ def game_options(options: Mapping[str, Any]) -> GameOptions:
         for name in ("observation", "reward")
         if not isinstance(plain.get(name), Mapping | str | None)
     }
-    return replace(build(GameOptions, plain), **pieces)
+    checked = replace(build(GameOptions, plain), **pieces)
+    if agents is None or checked.turn_order is not None:
+        return checked
+    return replace(checked, turn_order=ORDERS[agents])

@@ -8,7 +8,6 @@ import os
 import pkgutil
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from typing import Any, ClassVar, cast
 
 import numpy as np
@@ -21,7 +20,7 @@ from marouting.batch.engine import Engine
 from marouting.config import check
 from marouting.errors import InputError
 from marouting.observations import Observation, state_of, state_space_of
-from marouting.options import ORDERS, GameOptions, game_options
+from marouting.options import GameOptions, game_options
 from marouting.player import Player, Saved, StepBuffers
 from marouting.problem.net import is_whole
 from marouting.problem.problem import Problem
@@ -135,7 +134,7 @@ class BatchEnv(EzPickle):
         check("device", device == "cpu", f"cpu for the class {kind}, found {device!r}")
         if not (is_whole(threads) and threads >= 1):
             raise InputError(f"threads: expected a whole number from 1, found {threads!r}")
-        checked = batch_options(options, everyone=everyone)
+        checked = game_options(options, "multi" if everyone else "single")
         self._persists = checked.agents_persist
         check("agents_persist", everyone or not self._persists, "false: only one row")
         once = not play_once or not is_whole(problems)
@@ -365,14 +364,6 @@ def info_of(b: StepBuffers, now: Callable[[str], Any], final: Callable[[str], An
         **{figure: now(figure) for figure in FIGURES},
         "final_info": {figure: final(figure) for figure in FIGURES},
     }
-
-
-def batch_options(options: Mapping[str, Any], *, everyone: bool) -> GameOptions:
-    """The options of a batch; see :class:`BatchEnv`."""
-    checked = game_options(options)
-    if checked.turn_order is not None:
-        return checked
-    return replace(checked, turn_order=ORDERS["multi" if everyone else "single"])
 
 
 def drawn_from(

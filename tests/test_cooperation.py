@@ -184,8 +184,7 @@ def test_nets_that_arrive_later_are_not_seen() -> None:
     scenario = scenarios.get("online-8x8-v0")
     problem = scenario.test[0]
     alone = replace(problem, nets=problem.nets[:1])
-    options = {key: value for key, value in scenario.env.items() if key != "agents"}
-    envs = [global_routing_v0.env(p, **options) for p in (problem, alone)]
+    envs = [global_routing_v0.env(p, **scenario.env) for p in (problem, alone)]
     for env in envs:
         env.reset()
     while "net_0" in envs[1].agents and not any(envs[1].last()[2:4]):

@@ -204,11 +204,10 @@ def test_without_a_device_a_command_says_so(tmp_path: Path) -> None:
 
 def learner(steps: int, games: int = 4, **options: Any) -> DevicePPO:
     scenario = marouting.scenarios.get("gates-8x7-v0")
-    env = {name: value for name, value in scenario.env.items() if name != "agents"}
     problems = [problem for problem, _ in zip(scenario.train(0), range(64), strict=False)]
-    batch = BatchEnv(games, problem=problems, **env)
+    batch = BatchEnv(games, problem=problems, **scenario.env)
     wanted = {"network": {"kind": "mlp", "hidden": [64, 64]}, "final_failures": True, **options}
-    observation = game_options(env).observation.make()
+    observation = game_options(scenario.env).observation.make()
     return DevicePPO(batch, observation, build(PPOOptions, wanted), steps=steps)
 
 

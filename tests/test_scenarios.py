@@ -807,6 +807,44 @@ def test_options_that_a_scenario_suggests_can_be_changed(make: Callable[..., Any
     assert make(scenario="toy-4x4-v0").unwrapped.game.rules == make().unwrapped.game.rules
 
 
+def first_free(_: Any, masks: np.ndarray) -> np.ndarray:
+    """A policy: the first move that crosses an edge."""
+    return masks.argmax(axis=1)
+
+
+def test_the_options_of_a_scenario_play_any_problem() -> None:
+    """Its key ``agents`` must fit the interface."""
+    gates = scenarios.get("gates-8x7-v0")
+    problem, other = gates.test[:2]
+    for make in (global_routing_v0.env, global_routing_v0.parallel_env):
+        env = make(problem=problem, **gates.env).unwrapped
+        env.reset()
+        same = make(scenario="gates-8x7-v0").unwrapped
+        assert env.game.problem is problem
+        assert env.game.rules == same.game.rules
+        assert env.observation_space("net_0") == same.observation_space("net_0")
+    batch = BatchEnv([problem, other], **gates.env)
+    assert batch.single_observation_space == env.observation_space("net_0")
+    single = {**gates.env, "agents": "single"}
+    env = gymnasium.make(ENVIRONMENT_ID, problem=problem, **single).unwrapped
+    assert env.game.problem is problem
+    assert gymnasium.make_vec(ENVIRONMENT_ID, problem=problem, **single).num_envs == 1
+    assert BatchEnv([problem], everyone=False, **single).num_agents == len(problem.nets)
+    plain = marouting.evaluate_policy(first_free, "gates-8x7-v0", "validation", max_steps=2)
+    given = {**gates.env, "max_steps": 2}
+    assert marouting.evaluate_policy(first_free, "gates-8x7-v0", "validation", **given) == plain
+    for call, expected in (
+        (lambda: gymnasium.make(ENVIRONMENT_ID, problem=problem, **gates.env), "single"),
+        (lambda: gymnasium.make_vec(ENVIRONMENT_ID, problem=problem, **gates.env), "single"),
+        (lambda: BatchEnv([problem], everyone=False, **gates.env), "single"),
+        (lambda: BatchEnv([problem], **single), "multi"),
+        (lambda: global_routing_v0.env(problem, **single), "multi"),
+        (lambda: global_routing_v0.parallel_env(agents="many"), "multi"),
+    ):
+        with pytest.raises(InputError, match=f"^agents: expected {expected} in this interface, fo"):
+            call()
+
+
 def test_training_problems_are_no_larger_than_the_fixed_ones() -> None:
     def sized(rng: np.random.Generator) -> Problem:
         field = Field(5, 5, capacity=int(rng.integers(1, 1000)))

@@ -8,7 +8,6 @@ from pettingzoo import AECEnv
 
 from marouting.env.base import METADATA, NetEnv, checked_move
 from marouting.game import ACTIVE, NOBODY, Status
-from marouting.options import ORDERS
 from marouting.source import Source
 
 
@@ -36,7 +35,7 @@ class GlobalRoutingAEC(NetEnv, AECEnv):
     def __init__(self, problem: Source = None, **options: Any) -> None:
         EzPickle.__init__(self, problem, **options)
         AECEnv.__init__(self)
-        self._open(problem, ORDERS["multi"], options)
+        self._open(problem, "multi", options)
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
         """Starts an episode.

@@ -17,12 +17,12 @@ from marouting.columns import Columns
 from marouting.game import ACTIVE, NOBODY, Game, mask_table
 from marouting.memory import PLAYED, STATE, TABLES, check_memory
 from marouting.observations import has_form, state_of, state_space_of
-from marouting.options import game_options
+from marouting.options import Agents, game_options
 from marouting.problem.grid import Grid
 from marouting.problem.solution import Solution
 from marouting.render import Window, ansi, rgb_array, scene_of
 from marouting.rewards import paid_by
-from marouting.rules import Rules, TurnOrder
+from marouting.rules import Rules
 from marouting.source import ProblemStream, Source
 
 METADATA: dict[str, Any] = {
@@ -50,11 +50,10 @@ class GameEnv(EzPickle):
     _episode: ClassVar[tuple[str, ...]]
     """The attributes of an interface that change during an episode."""
 
-    def _open(self, problem: Source, turn_order: TurnOrder, options: Mapping[str, Any]) -> None:
-        """Makes the game; the turn order is this one if the options give none."""
-        checked = game_options(options)
-        rules = {field.name: getattr(checked, field.name) for field in fields(Rules)}
-        self._rules = Rules(**{**rules, "turn_order": checked.turn_order or turn_order})
+    def _open(self, problem: Source, agents: Agents, options: Mapping[str, Any]) -> None:
+        """Makes the game of an interface with one agent or many."""
+        checked = game_options(options, agents)
+        self._rules = Rules(**{field.name: getattr(checked, field.name) for field in fields(Rules)})
         self._observation = checked.observation.make()
         self._sees_plainly = has_form(self._observation, "see", "write")
         self._reward: Any = checked.reward.make()
@@ -308,9 +307,9 @@ def checked_move(action: Any, actions: int, name: str = "action") -> int:
 class NetEnv(GameEnv):
     """What the environments in which every net is an agent have in common."""
 
-    def _open(self, problem: Source, turn_order: TurnOrder, options: Mapping[str, Any]) -> None:
+    def _open(self, problem: Source, agents: Agents, options: Mapping[str, Any]) -> None:
         """Makes the game, and sets up the attributes that PettingZoo asks for."""
-        super()._open(problem, turn_order, options)
+        super()._open(problem, agents, options)
         self.possible_agents = list(self._everyone)
         self.observation_spaces = {agent: self._new_space() for agent in self.possible_agents}
         self.action_spaces = {agent: Discrete(self._actions) for agent in self.possible_agents}

@@ -15,7 +15,6 @@ from pettingzoo import ParallelEnv
 from marouting.env.base import METADATA, NetEnv, checked_move
 from marouting.game import ACTIVE, NOBODY, WAITING, Game, Status
 from marouting.memory import check_memory
-from marouting.options import ORDERS
 from marouting.source import Source
 
 
@@ -35,7 +34,7 @@ class GlobalRoutingParallel(NetEnv, ParallelEnv):
 
     def __init__(self, problem: Source = None, **options: Any) -> None:
         EzPickle.__init__(self, problem, **options)
-        self._open(problem, ORDERS["multi"], options)
+        self._open(problem, "multi", options)
         agents, numbers = len(self.possible_agents), math.prod(self._box.shape)
         size = agents * numbers * np.dtype(np.float32).itemsize
         check_memory(size, "{} observations of {} numbers", agents, numbers)

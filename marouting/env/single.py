@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from marouting.config import check
 from marouting.env.base import METADATA, GameEnv, checked_move
 from marouting.game import NOBODY
-from marouting.options import ORDERS
 from marouting.source import Source
 
 
@@ -38,7 +37,7 @@ class GlobalRoutingSingle(GameEnv, gymnasium.Env[Any, Any]):
         self, problem: Source = None, render_mode: str | None = None, **options: Any
     ) -> None:
         EzPickle.__init__(self, problem, render_mode, **options)
-        self._open(problem, ORDERS["single"], {**options, "render_mode": render_mode})
+        self._open(problem, "single", {**options, "render_mode": render_mode})
         check("agents_persist", not options.get("agents_persist"), "false: only one player")
         self.observation_space = self._new_space()
         self.action_space = Discrete(self._actions)
