@@ -81,7 +81,7 @@ class StepBuffers(NamedTuple):
     final_mask: NDArray[np.int8]  # (M, K, A) likewise
     terminated: NDArray[np.bool_]  # (M, K) all tasks of the agent are joined
     truncated: NDArray[np.bool_]  # (M, K) all tasks of the agent have ended, and some failed
-    active: NDArray[np.bool_]  # (M, K) rows whose agent can move next
+    active: NDArray[np.bool_]  # (M, K) rows whose agent still routes, also if it waits for its turn
     over: NDArray[np.bool_]  # (M,) episodes that ended in the step
     total: NDArray[np.float64]  # (M,) rewards of all agents in the episode so far
     final: NDArray[Any]  # (M,) GAME at the end of the problem's last episode

@@ -67,7 +67,8 @@ class BatchEnv(EzPickle):
         problem: what M games draw their problems from: one problem, several problems of which
             every episode draws one, or a generator with ``seed=None``, which makes a new one for
             every episode; see :data:`marouting.source.Source`.
-        everyone: whether all agents have a row and move in every step.
+        everyone: whether all agents have a row. In round-robin order each of them moves in every
+            step, in sequential order only the one whose turn it is; ``acted`` in the info tells.
         autoreset: whether the next episode starts when one is over.
         play_once: whether each of a list of problems, or of the problems of a split, is played only
             once after :meth:`reset`. Its rows then stay inactive, so that a loop ``while
@@ -263,7 +264,8 @@ class BatchEnv(EzPickle):
 
               * ``agents`` (M, K) int32: the agent of each row, −1 for none;
               * ``action_mask`` (M, K, A) int8, for A actions;
-              * ``active`` (M, K) bool: agents that can move next;
+              * ``active`` (M, K) bool: agents that still route. In sequential order only the one
+                whose turn it is moves next; the actions of the others are ignored;
               * ``acted`` (M, K) bool: agents that moved in this step;
               * ``task_ended`` (M, K) int8: 1 where this step joined the agent's task, 2 where the
                 task failed, otherwise 0;

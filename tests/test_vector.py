@@ -109,6 +109,16 @@ def test_without_autoreset_an_episode_stays_over() -> None:
     assert not info["over"].any()  # they ended with an earlier step
 
 
+def test_in_sequential_order_one_agent_moves_in_a_step() -> None:
+    for order, movers in (("sequential", 1), ("round_robin", 6)):
+        batch = BatchEnv(PROBLEMS[:1], turn_order=order)
+        _, info = batch.reset()
+        for _ in range(2):
+            assert info["active"].all()
+            *_, info = batch.step(info["action_mask"].argmax(axis=-1))
+            assert info["acted"].sum() == movers
+
+
 def test_actions_of_another_shape_are_refused() -> None:
     batch = BatchEnv(PROBLEMS)
     batch.reset()
