@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from marouting.batch.engine import Engine
 from marouting.batch.locality import check_local
+from marouting.config import check
 from marouting.errors import InputError
 from marouting.options import game_options
 from marouting.problem.solution import evaluate
@@ -158,6 +159,7 @@ def play_split(
     **options: Any,
 ) -> BatchEnv:
     """The games of :func:`evaluate_policy`, at their end."""
+    check("policy", callable(policy), f"a function of observations and masks, found {policy!r}")
     given: dict[str, Any] = {**options, "scenario": scenario, "split": split}
     _ = get(scenario).problems(split)  # or an error
     given.pop("agents", None)  # the turn order decides who has a row
@@ -209,7 +211,11 @@ def play(policy: Policy, env: BatchEnv) -> Mapping[str, Any]:
     """Plays the games of an environment with ``play_once`` to their end; returns the last info."""
     obs, info = env.reset()
     while (active := info["active"]).any():
-        moves = np.asarray(policy(obs[active].copy(), info["action_mask"][active]))
+        chosen = policy(obs[active].copy(), info["action_mask"][active])
+        try:
+            moves = np.asarray(chosen)
+        except ValueError:  # lists of different lengths
+            moves = np.asarray(chosen, object)
         if moves.shape != (active.sum(),) or moves.dtype.kind not in "iu":
             expected = f"({active.sum()},) integers, one for each observation"
             raise InputError(f"policy: expected {expected}, found {moves.dtype} {moves.shape}")

@@ -86,6 +86,7 @@ def load_problems(source: Source) -> dict[str, Problem]:
         raise InputError("problem: expected at least one, found an empty list")
     if isinstance(source[0], Problem):
         return {generated_name(i) if source[1:] else "problem": p for i, p in enumerate(source)}
+    check("problem", "" not in source, "a file or a folder, found ''")
     files: list[Path] = []
     for entry in map(Path, source):
         inside = problems_in(entry) if is_dir(entry) else [entry]
@@ -282,7 +283,7 @@ class ProblemSampler:
 
     def __init__(self, episodes: ProblemStream, seed: int, games: int) -> None:
         whole = is_whole(games) and 1 <= games <= MOST_PROBLEMS
-        check("games", whole, f"a number from 1 to {MOST_PROBLEMS}, found {games!r}")
+        check("number of games", whole, f"1 to {MOST_PROBLEMS}, found {games!r}")
         self.episodes = episodes
         self.seeds = np.full(games, _checked_seed(seed), object)
         self.counts = np.zeros(games, np.int64)

@@ -373,7 +373,7 @@ def drawn_from(
 ) -> ProblemStream | None:
     """What the games of a batch draw their problems from; None if they stay, see `BatchEnv`."""
     if not is_whole(problems):
-        check("problem", source is None, "none: problems= is a list, not a number of games")
+        check("problem", source is None, "a number of games first, as in BatchEnv(8, problem=…)")
         return None
     if options.scenario is None:
         what = f"a list of problems, or a problem or scenario as well; found {problems}"

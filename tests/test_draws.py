@@ -205,9 +205,13 @@ def test_a_copy_knows_the_seeds_that_games_have_begun_with() -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ({"problems": SET, "problem": SET}, "problem: expected none: problems= is a list"),
+        ({"problems": SET, "problem": SET}, "problem: expected a number of games first"),
+        ({"problem": {"nets": 3}}, r"problem: expected a number of games first, as in BatchEnv\(8"),
+        ({"problems": 1, "problem": ""}, "problem: expected a file or a folder, found ''"),
+        ({"problems": 1, "problem": ["a.gr", ""]}, "problem: expected a file or a folder, found"),
+        ({"problems": 20_000, "problem": SET}, "number of games: expected 1 to 10000, found 20000"),
         ({"problems": 3}, "problems: expected a list of problems, or a problem or scenario"),
-        ({"problems": 0, "problem": SET}, "games: expected a number from 1 to 10000, found 0"),
+        ({"problems": 0, "problem": SET}, "number of games: expected 1 to 10000, found 0"),
         ({"problems": 3, "problem": SET, "seed": -1}, "seed: expected a whole number from 0"),
         ({"problems": 3, "problem": SET, "scenario": "toy-4x4-v0"}, "problem: expected none besi"),
         ({"problems": 2, "problem": {"seed": None, "count": 2}}, "problem.count: expected 1 with"),

@@ -108,5 +108,9 @@ def test_what_is_refused() -> None:
         evaluate_policy(lambda obs, _: obs[:, 0], toy, "validation")
     with pytest.raises(InputError, match="policy: expected"):
         evaluate_policy(lambda obs, _: np.zeros(len(obs) - 1, int), toy)
+    with pytest.raises(InputError, match=r"policy: expected .* found object"):
+        evaluate_policy(lambda *_: [[1], [1, 2]], toy)
+    with pytest.raises(InputError, match=r"policy: expected a function of .* found None"):
+        evaluate_policy(None, toy)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="actions from 0 to 5, found 6 to 6"):
         evaluate_policy(lambda obs, _: np.full(len(obs), 6), toy)

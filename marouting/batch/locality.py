@@ -46,7 +46,8 @@ def check_local(
     name, radius = type(observation).__name__, local_radius_of(observation)
     if radius is None or (most is not None and radius > most):
         expected = "a whole number" if most is None else f"at most {most}"
-        raise InputError(f"{name}.local_radius: expected {expected}, found {radius}")
+        found = "None: agents may see everything" if radius is None else radius
+        raise InputError(f"{name}.local_radius: expected {expected}, found {found}")
     rng = np.random.default_rng(seed)
     shape = observation.space(engine.problems, engine.static.overflow_allowed).shape
     for m, n in rng.permutation(np.argwhere(engine.agents["status"] == ACTIVE))[:agents].tolist():

@@ -132,7 +132,7 @@ class CudaBatchEnv(BatchEnv):
         self._drawn = episodes is not None
         if episodes is not None:
             self.num_problems = cast(int, problems)
-            check("games", self.num_problems >= 1, f"a number from 1, found {problems}")
+            check("number of games", self.num_problems >= 1, f"a number from 1, found {problems}")
             some = pool is None or (is_whole(pool) and pool >= 1)
             check("pool", some, f"a number from 1, found {pool!r}")
             ahead, bounds = episodes.ahead(pool, seed), episodes.bounds

@@ -243,13 +243,22 @@ class Scenario:
         self, key: str, excluded: Collection[str], fits: Callable[[Problem], bool] | None
     ) -> Problem:
         """Draws a problem that is not excluded; raises InputError after many attempts."""
+        known = 0
         for attempt in range(ATTEMPTS):
             text = f"{self.name}/{key}/{attempt}"
             seed = int.from_bytes(hashlib.sha256(text.encode()).digest())
             problem = self.generator(np.random.default_rng(seed))
-            if self._digest(problem) not in excluded and (fits is None or fits(problem)):
+            if not isinstance(problem, Problem):
+                raise InputError(f"{self.name}: generator: expected a Problem, found {problem!r}")
+            if self._digest(problem) in excluded:
+                known += 1
+            elif fits is None or fits(problem):
                 return problem
-        raise InputError(f"{self.name}: expected a problem that fits within {ATTEMPTS} attempts")
+        raise InputError(
+            f"{self.name}: expected a problem that fits within {ATTEMPTS} attempts, found {known} "
+            "that are validation or test problems (or their mirror images) and "
+            f"{ATTEMPTS - known} that accept refuses or that are larger than all of those"
+        )
 
 
 def _size(problem: Problem) -> NDArray[np.integer]:
