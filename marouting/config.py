@@ -827,13 +827,24 @@ RENAMED = {
 }
 """Names that keys had before version 0.3, and what they are called now."""
 
+REMOVED = {
+    "importance_exponent": "prioritised replay",
+    "n_step": "returns of n steps",
+    "prioritised": "prioritised replay",
+    "priority_exponent": "prioritised replay",
+}
+"""Keys that version 0.3 removed without a replacement, and what they were for."""
+
 
 def unknown_key(key: str, known: Sequence[str]) -> str:
     """The message about a key that is not one of those known."""
-    new = RENAMED.get(key.rpartition(".")[2])
+    name = key.rpartition(".")[2]
+    new = RENAMED.get(name)
     if new and (new == _PRICES or new.partition(":")[0] in known):
         return f"{key}: unknown key; it is now {new}"
-    close = difflib.get_close_matches(key.rpartition(".")[2], known, n=1, cutoff=0.5)
+    if name in REMOVED:
+        return f"{key}: unknown key; version 0.3 removed {REMOVED[name]}"
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
     # What follows must not lie in the middle of a long message, which is left out.
     listed = textwrap.shorten(", ".join(known), _LISTED, placeholder=" …")
     listed = f"one of {listed}" if known else "none"

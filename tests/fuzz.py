@@ -288,8 +288,6 @@ LEARNERS: dict[str, dict[str, Any]] = {
     "dqn, all switches": {
         "burn_in_size": 50,
         "buffer_size": 100,
-        "n_step": 3,
-        "prioritised": True,
         "masking": True,
         "double": True,
         "network": {"hidden": [8], "dueling": True},

@@ -39,7 +39,7 @@ FILES = {
     "sub/middle.yaml": "include: [one.yaml, two.yaml]\nenv:\n  max_steps: 12\n",
     "sub/one.yaml": "seed: 1\nenv: {max_steps: 11, agents: multi}\nlearner: {gamma: 0.5}\n",
     "sub/two.yaml": "\nseed: 2\ntrain: {episodes: 3, threads: 2}\n"
-    "learner: {kind: dqn, n_step: 2}\n",
+    "learner: {kind: dqn, batch_size: 2}\n",
 }
 
 
@@ -52,7 +52,7 @@ def test_a_file_begins_from_others_beside_it() -> None:
         "learner": {"kind": "ppo"},  # another piece takes none of a piece's options
         "train": {"episodes": 9, "threads": 2},
     }
-    assert read_yaml("sub/middle.yaml")["learner"] == {"kind": "dqn", "n_step": 2}
+    assert read_yaml("sub/middle.yaml")["learner"] == {"kind": "dqn", "batch_size": 2}
     assert origins_of("own.yaml") == {
         ("seed",): ("sub/two.yaml", 2),
         ("env", "max_steps"): ("sub/middle.yaml", 3),

@@ -94,7 +94,7 @@ COMMANDS = {
         25,
     ),
     "train, multi": Command(
-        lambda folder: training(folder, agents="multi", prioritised=True), test_run.outcome, 0, 25
+        lambda folder: training(folder, agents="multi", double=True), test_run.outcome, 0, 25
     ),
     "train, multi, tensorboard": Command(
         lambda folder: training(folder, agents="multi", kind="ppo", tensorboard=True),

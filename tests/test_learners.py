@@ -1,7 +1,7 @@
 """The learners: networks, memories, exploration, DQN and PPO.
 
 Oracles: torch's autograd with its own Adam for gradient steps; plain loops over transitions for
-returns, advantages and priorities.
+returns and advantages.
 """
 
 import copy
@@ -31,7 +31,6 @@ from policies.learned.counter_rng import keys, uniform, uniforms
 from policies.learned.exploration import Exploration
 from policies.learned.learner import Learner, Setup
 from policies.learned.memory.pre_step import PreStep
-from policies.learned.memory.prioritised import Prioritised, SumTree
 from policies.learned.memory.replay import Batch, Replay
 from policies.learned.memory.rollout import Rollout, shuffled
 from policies.learned.networks.adam import Adam
@@ -344,10 +343,8 @@ def step_of(
     return before, after
 
 
-def replay_of(
-    names: str, capacity: int, masks: bool = False, kind: Any = Replay, **more: Any
-) -> Any:
-    return kind(keys(1, [*names], "s"), capacity, (FEATURES,), masks, CPU, **more)
+def replay_of(names: str, capacity: int, masks: bool = False, **more: Any) -> Replay:
+    return Replay(keys(1, [*names], "s"), capacity, (FEATURES,), masks, CPU, **more)
 
 
 def everything(replay: Replay) -> Batch:
@@ -403,10 +400,8 @@ def test_samples_are_uniform(stored: int) -> None:
     assert chi_square <= freedom + 6 * (2 * freedom) ** 0.5
 
 
-@pytest.mark.parametrize("prioritised", [False, True])
-def test_samples_do_not_depend_on_the_rest_of_the_stack(prioritised: bool) -> None:
-    more: dict[str, Any] = {"kind": Prioritised, "alpha": 1, "beta": 0.5} if prioritised else {}
-    small, large = replay_of("b", 25, **more), replay_of("abc", 25, **more)
+def test_samples_do_not_depend_on_the_rest_of_the_stack() -> None:
+    small, large = replay_of("b", 25), replay_of("abc", 25)
     numbers = np.arange(20, dtype=np.float32)[None]
     remember(small, numbers, np.ones((1, 20), np.bool_))
     acted = np.ones((3, 20), np.bool_)
@@ -444,85 +439,28 @@ def steps_of_agents(replay: Replay, steps: int) -> list[list[dict[str, Any]]]:
     return lived
 
 
-@pytest.mark.parametrize("n_step", [1, 2, 5])
 @pytest.mark.parametrize("masks", [False, True])
-def test_returns_of_n_steps(n_step: int, masks: bool) -> None:
-    gamma = 0.9
-    replay = replay_of("a", 500, masks, n_step=n_step, gamma=gamma, agents=(2, 3))
-    lived = steps_of_agents(replay, 60)
+def test_memory_holds_the_transitions_of_all_agents(masks: bool) -> None:
+    replay = replay_of("a", 500, masks)
     expected = []
-    for life in lived:
-        for i in range(len(life)):
-            total, steps = 0.0, 0
-            for later in life[i : i + n_step]:
-                total += gamma**steps * later["reward"]
-                steps += 1
-                if later["ending"]:
-                    break
-            else:
-                if steps < n_step:
-                    continue  # its return is not finished
-            weight = 0.0 if later["ending"] == Ending.JOINED else gamma ** (steps - 1)
-            expected.append((*life[i]["obs"], life[i]["move"], total, weight, *later["next"],
-                             *(later["mask"] if masks else ())))  # fmt: skip
+    for now in itertools.chain(*steps_of_agents(replay, 60)):
+        goes_on = now["ending"] != Ending.JOINED
+        masks_of = now["mask"] if masks else ()
+        row = (*now["obs"], now["move"], now["reward"], goes_on, *now["next"], *masks_of)
+        expected.append(row)
     found, size = everything(replay), int(replay.stored[0])
     fields = [found.obs, found.move, found.reward, found.goes_on, found.next_obs]
-    fields += [found.mask] if masks else []
+    fields += [] if found.mask is None else [found.mask]
     rows = torch.cat([f[0, :size].float() for f in fields], dim=1).numpy()
     assert len(rows) == len(expected) > 150
     by_obs = {tuple(row[:FEATURES]): row for row in rows}
     for row in np.array(expected, np.float32):
-        np.testing.assert_allclose(by_obs[tuple(row[:FEATURES])], row, rtol=1e-5, atol=1e-5)
+        np.testing.assert_array_equal(by_obs[tuple(row[:FEATURES])], row)
 
 
-def test_unfinished_returns_are_forgotten_when_games_start_anew() -> None:
-    replay = replay_of("a", 100, n_step=3, gamma=0.9, agents=(1, 1))
-    rng = np.random.default_rng(0)
-    for cut in (True, False):
-        before, after = step_of(1, 1, rng)
-        after.ending[:] = 0
-        replay.add(before, after)
-        if cut:
-            replay.cut()
-    for _ in range(2):
-        before, after = step_of(1, 1, rng)
-        after.ending[:] = 0
-        replay.add(before, after)
-    assert replay.stored.tolist() == [1]
-
-
-@given(capacity=st.integers(1, 200), seed=st.integers(0, 99))
-def test_a_sum_tree_finds_what_a_cumulated_sum_finds(capacity: int, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    tree = SumTree(2, capacity, CPU)
-    numbers = np.zeros((2, capacity), np.float32)
-    for _ in range(5):
-        place = rng.integers(2 * capacity, size=7)
-        number = rng.integers(0, 5, size=7).astype(np.float32)
-        number = np.array([number[np.flatnonzero(place == p)[0]] for p in place])
-        tree.set(torch.from_numpy(place), torch.from_numpy(number))
-        numbers.reshape(-1)[place] = number
-    numbers[:, 0] += 1
-    tree.set(torch.tensor([0, capacity]), torch.from_numpy(numbers[:, 0]))
-    share = np.linspace(0, 0.999, 50, dtype=np.float32)
-    found, chance = tree.find(torch.from_numpy(np.stack([share, share])))
-    for row in range(2):
-        total = numbers[row].sum()
-        # Whole numbers: their sums are exact, as is what a share of them falls into.
-        expected = np.searchsorted(numbers[row].cumsum(), share * total, side="right")
-        assert found[row].tolist() == expected.tolist()
-        np.testing.assert_allclose(chance[row].numpy(), numbers[row][expected] / total, rtol=1e-5)
-
-
-@pytest.mark.parametrize("n_step", [1, 3])
-@pytest.mark.parametrize("kind", [Replay, Prioritised])
-def test_late_pay_is_added_to_the_transitions_that_ended_a_task(kind: Any, n_step: int) -> None:
-    gamma, rng = 0.5, np.random.default_rng(7)
-    more = {"alpha": 0.7, "beta": 0.4} if kind is Prioritised else {}
-    replay = kind(
-        keys(1, ["a"], "s"), 6, (FEATURES,), False, CPU, n_step=n_step, gamma=gamma, agents=(2, 2),
-        final_failures=True, late=True, **more,
-    )  # fmt: skip
+def test_late_pay_is_added_to_the_transition_that_ended_a_task() -> None:
+    rng = np.random.default_rng(7)
+    replay = replay_of("a", 6, agents=(2, 2), final_failures=True, late=True)
 
     def add(acted: Any, paid: Any, ending: Any, over: Any = (False, False)) -> None:
         before, after = step_of(2, 2, rng)
@@ -534,49 +472,24 @@ def test_late_pay_is_added_to_the_transitions_that_ended_a_task(kind: Any, n_ste
     add([[on, off], [off, off]], [[1, 0], [0, 0]], [[0, 0], [0, 0]])
     add([[on, off], [off, off]], [[2, 5], [0, 0]], [[failed, 0], [0, 0]])  # 5 is for nobody
     found = everything(replay)
-    rewards = [1.0, 2.0] if n_step == 1 else [1 + gamma * 2, 2.0]
-    assert found.reward[0, :2, 0].tolist() == rewards
-    assert found.goes_on[0, :2, 0].tolist() == ([1, 0] if n_step == 1 else [0, 0])
+    assert found.reward[0, :2, 0].tolist() == [1, 2]
+    assert found.goes_on[0, :2, 0].tolist() == [1, 0]
     add([[off, on], [on, off]], [[8, 3], [4, 0]], [[0, 0], [joined, 0]])
-    rewards = [1.0, 10.0] if n_step == 1 else [1 + gamma * 10, 10.0]
     add([[off, on], [off, off]], [[0, 1], [16, 0]], [[0, 0], [0, 0]], [False, True])
     add([[off, off], [off, off]], [[0, 0], [32, 0]], [[0, 0], [0, 0]])  # of the next episode
     found = everything(replay)
-    assert found.reward[0, :2, 0].tolist() == rewards
-    fourth = 3 if n_step == 1 else 2
-    assert found.reward[0, fourth, 0] == 20
+    assert found.reward[0, :2, 0].tolist() == [1, 10]
+    assert found.reward[0, 3, 0] == 20
+    add([[off, on], [off, off]], [[0, 1], [0, 0]], [[0, joined], [0, 0]])
+    replay.cut()  # nobody's task has ended in games that start anew
+    add([[off, off], [off, off]], [[0, 64], [0, 0]], [[0, 0], [0, 0]])
+    assert everything(replay).reward[0, 5, 0] == 1
     # What has left the memory is not paid.
     for _ in range(8):
         add([[off, off], [on, off]], [[0, 0], [1, 0]], [[0, 0], [joined, 0]])
     add([[off, off], [off, off]], [[100, 0], [7, 0]], [[0, 0], [0, 0]])
     rewards = sorted(everything(replay).reward[0, :, 0].tolist())
     assert rewards == [1, 1, 1, 1, 1, 8]
-
-
-def test_transitions_of_large_errors_are_drawn_more_often() -> None:
-    alpha, beta, count = 0.7, 0.4, 20
-    replay = replay_of("ab", 32, kind=Prioritised, alpha=alpha, beta=beta)
-    numbers = np.tile(np.arange(count, dtype=np.float32), (2, 1))
-    remember(replay, numbers, np.ones((2, count), np.bool_))
-    first = replay.sample(40, torch.tensor([0, 0]))
-    assert set(first.place[0].tolist()) == set(range(count))  # all equal: each stratum its own
-    assert torch.equal(first.weight, torch.ones_like(first.weight))
-    batch = replay._batch(torch.arange(count).expand(2, count))
-    errors = torch.linspace(0, 3, count).expand(2, count)[..., None]
-    replay.learned(batch, errors, torch.tensor([[1.0], [0.0]]))
-    priority = (np.linspace(0, 3, count) + 1e-3) ** alpha
-    chance = priority / priority.sum()
-    drawn, size = np.zeros(count), 4000
-    sampled = replay.sample(size, torch.tensor([1, 1]))
-    drawn = np.bincount(sampled.place[0].numpy(), minlength=count)
-    assert abs(drawn / size - chance).max() < 2 / size  # stratified: within one of each end
-    weight = (count * chance[sampled.place[0].numpy()]) ** -beta
-    np.testing.assert_allclose(sampled.weight[0, :, 0].numpy(), weight / weight.max(), rtol=1e-3)
-    # The second network was not due.
-    assert torch.equal(sampled.weight[1], torch.ones(size, 1))
-    # What is new is drawn as often as the largest so far.
-    remember(replay, numbers[:, :1] + 77, np.array([[True], [False]]))
-    assert replay.tree.leaves[0, count] == pytest.approx(priority.max(), rel=1e-5)
 
 
 def test_advantages_and_returns_of_every_agent() -> None:
@@ -775,9 +688,7 @@ SWITCHES: list[dict[str, Any]] = [
     {"double": True, "target_period": 7},
     {"double": True, "target_period": 7, "masking": True},
     {"dueling": True},
-    {"n_step": 3, "masking": True},
-    {"prioritised": True, "target_period": 5},
-    {"double": True, "dueling": True, "n_step": 2, "prioritised": True, "target_period": 4},
+    {"double": True, "dueling": True, "target_period": 4},
 ]
 
 
@@ -814,8 +725,7 @@ def test_gradient_step_is_that_of_autograd_and_adam(kind: type[DQN], case: dict[
                 best = following[torch.arange(o.batch_size), chooser.argmax(dim=1)]
                 wanted = batch.reward[m, :, 0] + gamma * batch.goes_on[m, :, 0] * best
             chosen = net(batch.obs[m].double())[torch.arange(o.batch_size), batch.move[m, :, 0]]
-            weight = 1 if batch.weight is None else batch.weight[m, :, 0]
-            expected = (weight * (chosen - wanted) ** 2).mean()
+            expected = ((chosen - wanted) ** 2).mean()
             optimizer.zero_grad()
             expected.backward()
             optimizer.step()
@@ -862,14 +772,11 @@ def test_networks_that_are_not_due_stay_as_they_are(kind: type[DQN]) -> None:
 
 
 @pytest.mark.parametrize("target_period", [0, 2])
-@pytest.mark.parametrize(("kind", "prioritised"), [(DQN, False), (DQN, True), (FusedDQN, False)])
+@pytest.mark.parametrize("kind", DQNS)
 def test_a_network_learns_the_same_when_others_have_left(
-    kind: type[DQN], target_period: int, prioritised: bool
+    kind: type[DQN], target_period: int
 ) -> None:
-    whole, part = (
-        learner_of(kind, target_period=target_period, masking=True, prioritised=prioritised)
-        for _ in range(2)
-    )
+    whole, part = (learner_of(kind, target_period=target_period, masking=True) for _ in range(2))
     stay = np.array([0, 2])
     for learner in (whole, part):
         learner.learn(np.array([3, 1, 2]))
@@ -921,19 +828,6 @@ def test_epsilon_falls_from_an_episode_to_the_last() -> None:
     assert np.diff(values[2000:]) == pytest.approx(-0.04 / 3000)
     falling.set_episodes(np.array([3500]))
     assert falling.explore.epsilon[0, 0] == pytest.approx(0.03)
-
-
-def test_the_weights_of_prioritised_replay_grow_to_full() -> None:
-    player = player_of([tiny()], multi=False)
-    learner = DQN(
-        setup_of(player, ["a"], episodes=11),
-        options_of("dqn", prioritised=True, importance_exponent=0.4),
-    )
-    found = []
-    for episode in (0, 5, 10, 12):
-        learner.set_episodes(np.array([episode]))
-        found.append(float(learner.memory.beta[0, 0]))
-    assert found == pytest.approx([0.4, 0.7, 1, 1])
 
 
 # --- DQN in play ----------------------------------------------------------------------------------
@@ -1024,8 +918,7 @@ def test_the_fused_dqn_is_chosen_where_it_applies() -> None:
     for there, options in [
         (own, {}),
         (setup, {"double": True}),
-        (setup, {"n_step": 2}),
-        (setup, {"prioritised": True}),
+        (setup, {"final_failures": True}),
         (setup, {"network": dueling}),
         (setup, {"network": piece("network", {"kind": "mlp", "activation": "tanh"})}),
         (setup, {"network": piece("network", "tests.test_learners:Scaled")}),
@@ -1043,7 +936,7 @@ LEARNERS: dict[str, tuple[str, dict[str, Any]]] = {
     "dqn, torch": ("dqn", {"fused": False, "steps_per_update": 3}),
     "dqn, all switches": (
         "dqn",
-        {"double": True, "n_step": 3, "prioritised": True, "masking": True, "steps_per_update": 3},
+        {"double": True, "masking": True, "steps_per_update": 3},
     ),
     "ppo": ("ppo", {}),
     "ppo, central": ("ppo", {"critic": "central", "masking": False}),
@@ -1203,9 +1096,12 @@ def test_ppo_learns_the_one_game_there_is() -> None:
             {"double": True, "target_period": 0},
             "double: expected false, or target_period above 0",
         ),
-        ("dqn", {"n_step": 0}, "n_step: expected a number from 1"),
-        ("dqn", {"priority_exponent": 1.5}, "priority_exponent: expected a number from 0 to 1"),
-        ("dqn", {"importance_exponent": -1}, "importance_exponent: expected a number from 0 to 1"),
+        ("dqn", {"n_step": 3}, "n_step: unknown key; version 0.3 removed returns of n steps"),
+        (
+            "dqn",
+            {"prioritised": True},
+            "prioritised: unknown key; version 0.3 removed prioritised replay",
+        ),
         ("dqn", {"buffer_size": 10, "burn_in_size": 11}, "buffer_size: expected at least"),
         ("dqn", {"gama": 1}, "did you mean gamma?"),
         ("dqn", {"network": {"kind": "mlp", "width": 3}}, "width: unknown key"),

@@ -648,8 +648,6 @@ KINDS: dict[str, dict[str, Any]] = {
     "torch, all switches": {
         "agents": "multi",
         "double": True,
-        "n_step": 3,
-        "prioritised": True,
         "network": {"hidden": [8], "dueling": True},
     },
     "ppo": {"kind": "ppo"},
@@ -673,8 +671,6 @@ KINDS: dict[str, dict[str, Any]] = {
         "problem": None,
         "observation": {"kind": "window", "radius": 1},
         "reward": "team",
-        "n_step": 3,
-        "prioritised": True,
         "burn_in": "random",
     },
     "drawn, ppo": {
@@ -1003,7 +999,7 @@ LONGER: dict[str, dict[str, Any]] = {
     "single": STEADY,
     "multi, masked": {**STEADY, "agents": "multi", "masking": True},
     "shared": {**STEADY, "shared": True, "problem": {**PROBLEMS, "count": 1}},
-    "torch": {**STEADY, "fused": False, "n_step": 3},
+    "torch": {**STEADY, "fused": False},
     "ppo": {"kind": "ppo", "anneal": False, "num_envs": 1, "problem": {**PROBLEMS, "count": 1}},
     "drawn": {**STEADY, "shared": True, "games": 1, "problem": DRAWN},
 }
@@ -1065,7 +1061,7 @@ def test_options_that_go_by_the_share_of_all_episodes_are_known(tmp_path: Path) 
         return learner.cls.schedules(learner.options)
 
     assert schedules(epsilon_final=0.0) == ("epsilon",)
-    assert schedules(**STEADY, prioritised=True) == ("importance_exponent",)
+    assert schedules(**STEADY) == ()
     assert schedules(kind="ppo") == ("learning_rate",)
     imitation = build(Config, {"learner": {"kind": "imitation", "anneal": False}}).learner
     assert imitation.cls.schedules(imitation.options) == ()
@@ -1333,7 +1329,6 @@ DAMAGES: dict[str, Callable[[Path], None]] = {
         lambda state: state["training"].update({"memory.store": torch.zeros(2, 400, 32)})
     ),
     "ppo": changed(lambda state: another_learner(state, kind="ppo")),
-    "prioritised": changed(lambda state: another_learner(state, prioritised=True)),
     "no tensor": changed(lambda state: state["trainer"].update(episodes=[1, 2])),
     "no mapping": changed(lambda state: state.update(training=[1, 2])),
     "no best episode": changed(lambda state: state["trainer"]["best_episode"].fill_(-1)),

@@ -777,12 +777,8 @@ SWITCHES: dict[str, dict[str, Any]] = {
     "fused": {},
     "double": {"double": True},
     "dueling": {"network": {"hidden": [8], "dueling": True}},
-    "n_step": {"n_step": 3},
-    "prioritised": {"prioritised": True},
     "all": {
         "double": True,
-        "n_step": 2,
-        "prioritised": True,
         "masking": True,
         "network": {"hidden": [8], "dueling": True},
     },

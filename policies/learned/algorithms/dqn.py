@@ -8,8 +8,6 @@ others.
 * ``double``: the network chooses the next move, the target network values it (van Hasselt et al.,
   2016).
 * dueling: ``network: {kind: mlp, dueling: true}`` (Wang et al., 2016).
-* ``n_step``: n rewards are summed before the rest is bootstrapped (Sutton, 1988).
-* ``prioritised``: transitions of large errors are drawn more often (Schaul et al., 2016).
 * ``masking``: only moves that cross an edge are chosen, and bootstrapped from.
 """
 
@@ -27,7 +25,6 @@ from marouting.player import Player
 from policies.learned.exploration import Exploration
 from policies.learned.learner import Learner, Setup
 from policies.learned.memory.pre_step import PreStep
-from policies.learned.memory.prioritised import Prioritised
 from policies.learned.memory.replay import Replay
 from policies.learned.networks.adam import Adam
 from policies.learned.networks.graph import Recorded, recorder
@@ -55,10 +52,6 @@ class DQNOptions:
         steps_per_update: moves to each gradient step.
         masking: whether only moves that cross an edge are chosen and bootstrapped from.
         double: whether the network chooses the move that its target values.
-        n_step: rewards that are summed before the rest is bootstrapped.
-        prioritised: whether transitions are drawn by the sizes of their errors.
-        priority_exponent: α of Schaul et al.; 0 would be uniform.
-        importance_exponent: their β at the start; it rises to 1 with the last episode.
         final_failures: whether a failed task is not bootstrapped from, as a joined one: for games
             in which the limit of steps is part of what is to be learned (Pardo et al., 2018).
         fused: whether the compiled learner does it, see
@@ -79,10 +72,6 @@ class DQNOptions:
     steps_per_update: int = 1
     masking: bool = False
     double: bool = False
-    n_step: int = 1
-    prioritised: bool = False
-    priority_exponent: float = 0.6
-    importance_exponent: float = 0.4
     final_failures: bool = False
     fused: bool | None = None
 
@@ -103,9 +92,6 @@ class DQNOptions:
         check(
             "double", not self.double or self.target_period > 0, "false, or target_period above 0"
         )
-        check("n_step", 1 <= self.n_step <= 100, "a number from 1 to 100")
-        check("priority_exponent", 0 <= self.priority_exponent <= 1, "a number from 0 to 1")
-        check("importance_exponent", 0 <= self.importance_exponent <= 1, "a number from 0 to 1")
 
 
 class DQN(Learner):
@@ -151,18 +137,18 @@ class DQN(Learner):
         return {**super().limits(), "pending_updates": (0, self.options.steps_per_update - 1)}
 
     def _memory(self) -> Replay:
-        o, setup, priority = self.options, self.setup, {}
-        if o.prioritised:
-            priority = {"alpha": o.priority_exponent, "beta": o.importance_exponent}
-        each = setup.games // len(setup.names)
-        late = setup.pays_late
-        agents = (each, setup.player.engine.nets.shape[1]) if o.n_step > 1 or late else (0, 0)
-        kind: Any = Prioritised if o.prioritised else Replay
-        return kind(
-            setup.network_keys("sample"), o.buffer_size, setup.obs_shape, o.masking, self.device,
-            n_step=o.n_step, gamma=o.gamma, agents=agents, actions=setup.actions,
-            final_failures=o.final_failures, late=late, **priority,
-        )  # fmt: skip
+        o, setup = self.options, self.setup
+        return Replay(
+            setup.network_keys("sample"),
+            o.buffer_size,
+            setup.obs_shape,
+            o.masking,
+            self.device,
+            agents=(setup.games // len(setup.names), setup.player.engine.nets.shape[1]),
+            actions=setup.actions,
+            final_failures=o.final_failures,
+            late=setup.pays_late,
+        )
 
     def bind(self) -> None:
         """Renews what refers to the rows."""
@@ -236,16 +222,14 @@ class DQN(Learner):
             if o.double:
                 best = value.gather(2, chooser.argmax(dim=2, keepdim=True))
             wanted = batch.reward + o.gamma * batch.goes_on * best
-        # The loss is the mean of weight · error².
+        # The loss is the mean of error².
         value = self.networks.view(batch.obs).gather(2, batch.move)
         with torch.no_grad():
             error = value - wanted
-            weighted = error if batch.weight is None else batch.weight * error
-            slope = weighted * (2 / o.batch_size)
-            self.loss += ((weighted * error).mean(dim=(1, 2)) * self._due[:, 0]).double()
+            slope = error * (2 / o.batch_size)
+            self.loss += ((error * error).mean(dim=(1, 2)) * self._due[:, 0]).double()
         self.networks.view.gradient(value, self._gradient, slope)
         self.adam.step(self.networks.flat, self._gradient, self._due, o.learning_rate)
-        self.memory.learned(batch, error, self._due)
 
     # --- schedules ----------------------------------------------------------------------------
 
@@ -257,8 +241,7 @@ class DQN(Learner):
     @classmethod
     def schedules(cls, options: DQNOptions) -> tuple[str, ...]:
         """See :meth:`policies.learned.learner.Learner.schedules`."""
-        falls = options.epsilon_final is not None
-        return (*["epsilon"] * falls, *["importance_exponent"] * options.prioritised)
+        return () if options.epsilon_final is None else ("epsilon",)
 
     def exploration(self, episode: int) -> float:
         """The chance of a random move in an episode (counted from 0)."""
@@ -273,8 +256,3 @@ class DQN(Learner):
         """See :meth:`policies.learned.learner.Learner.set_episodes`."""
         chances = [self.exploration(episode) for episode in episodes.tolist()]
         self.explore.epsilon[:] = self._games(np.array(chances))
-        if isinstance(self.memory, Prioritised):
-            played = self._games(episodes).mean(axis=1) / max(self.setup.episodes - 1, 1)
-            start = self.options.importance_exponent
-            beta = start + (1 - start) * np.minimum(played, 1)
-            self.memory.beta.copy_(torch.from_numpy(beta[:, None]))

@@ -47,8 +47,6 @@ def obstacle(setup: Setup, options: DQNOptions) -> str | None:
         "an activation other than relu": network.cls is MLP and given["activation"] != "relu",
         "actions beyond the six moves": setup.player.engine.actions > MOVES,
         "double": options.double,
-        "n_step": options.n_step > 1,
-        "prioritised": options.prioritised,
         "final_failures": options.final_failures,
     }
     return next((f"the fused DQN does not do {r}" for r, holds in reasons.items() if holds), None)

@@ -7,11 +7,10 @@ two or three reads from memory and one gather on a GPU. Where agents see F numbe
 0 … F − 1             obs
 F … 2F − 1            next_obs, in the same task
 2F + MOVE             the move
-2F + REWARD           its reward; the discounted sum of n rewards for returns of n steps
-2F + GOES_ON          weight of the value of next_obs, before one factor γ: 0 where the task was
-                      joined, 1 after one step, γ after two and so on. A task that failed only ran
-                      out of steps, so its end is bootstrapped like any other step, unless failures
-                      are final.
+2F + REWARD           its reward
+2F + GOES_ON          weight of the value of next_obs, before the factor γ: 0 where the task was
+                      joined, otherwise 1. A task that failed only ran out of steps, so its end is
+                      bootstrapped like any other step, unless failures are final.
 2F + MASK …           six numbers, the action mask of next_obs; with masking only
 ====================  ==============================================================================
 
@@ -56,11 +55,9 @@ class Batch:
         obs: (L, B, *S) float32.
         next_obs: (L, B, *S) float32, in the same task.
         move: (L, B, 1) int64.
-        reward: (L, B, 1) float32, discounted over the steps of the return.
-        goes_on: (L, B, 1) float32, weight of the value of ``next_obs`` before one factor γ.
+        reward: (L, B, 1) float32.
+        goes_on: (L, B, 1) float32, weight of the value of ``next_obs`` before the factor γ.
         mask: (L, B, A) float32, action mask of ``next_obs``, or None without masking.
-        place: (L, B) int64, the rows in the networks' stores.
-        weight: (L, B, 1) float32 weights in the loss, or None where all are 1.
     """
 
     obs: Tensor
@@ -69,8 +66,6 @@ class Batch:
     reward: Tensor
     goes_on: Tensor
     mask: Tensor | None
-    place: Tensor
-    weight: Tensor | None = None
 
 
 class Replay(PerNetworkState):
@@ -82,9 +77,7 @@ class Replay(PerNetworkState):
         obs_shape: of one observation.
         masks: whether to keep action masks.
         device: where the store is.
-        n_step: rewards that are summed before the rest is bootstrapped.
-        gamma: discount factor inside that sum.
-        agents: (games per network, agents) whose returns may be unfinished.
+        agents: (games per network, agents) that may be paid late.
         actions: A.
         final_failures: whether a failed task is not bootstrapped from.
         late: whether agents that are done may be paid.
@@ -94,7 +87,7 @@ class Replay(PerNetworkState):
         stored: (L,) int64, transitions ever stored for each network.
     """
 
-    rows: ClassVar[tuple[str, ...]] = ("store", "stored", "keys", "waiting", "unfinished", "last")
+    rows: ClassVar[tuple[str, ...]] = ("store", "stored", "keys", "last")
 
     def __init__(
         self,
@@ -103,8 +96,6 @@ class Replay(PerNetworkState):
         obs_shape: tuple[int, ...],
         masks: bool,
         device: torch.device,
-        n_step: int = 1,
-        gamma: float = 1.0,
         agents: tuple[int, int] = (0, 0),
         actions: int = MOVES,
         *,
@@ -115,7 +106,6 @@ class Replay(PerNetworkState):
         self.obs_shape, self.masks, self.device = obs_shape, masks, device
         self.actions = actions
         self.features = int(np.prod(obs_shape))
-        self.n_step, self.gamma = n_step, gamma
         networks, width = len(keys), width_of(self.features, actions * masks)
         # NumPy asks for huge pages where torch does not: samples from all over the store took a
         # third longer without.
@@ -123,19 +113,14 @@ class Replay(PerNetworkState):
         self.store = torch.from_numpy(store).to(device)
         self.stored = np.zeros(networks, np.int64)
         self.keys = torch.from_numpy(keys.view(np.int64)).to(device)
-        # Returns that still gather rewards, oldest first, and how many they are.
-        shape = (networks, *agents) if n_step > 1 else (networks, 0, 0)
-        self.waiting = np.zeros(shape, np.int64)
-        self.unfinished = np.zeros((*shape, n_step, width), np.float32)
-        # The numbers, from 1, of the transitions that ended each agent's last task, by their age.
-        self.last = np.zeros((networks, *agents, n_step) if late else (networks, 0, 0, 0), np.int64)
+        # The number, from 1, of the transition that ended each agent's last task, or 0.
+        self.last = np.zeros((networks, *agents) if late else (networks, 0, 0), np.int64)
         self._place = np.zeros(0, np.int64)
         self.bind()
 
     def limits(self) -> dict[str, tuple[float, float]]:
         """See :meth:`.PerNetworkState.limits`."""
-        waiting = (0.0, max(self.n_step - 1.0, 0.0))
-        return {**super().limits(), "stored": COUNT, "waiting": waiting, "last": COUNT}
+        return {**super().limits(), "stored": COUNT, "last": COUNT}
 
     def check(self, state: Mapping[str, Tensor]) -> None:
         """Raises InputError for moves or masks that are none in a checkpoint."""
@@ -143,10 +128,9 @@ class Replay(PerNetworkState):
         columns = [(MOVE, "moves", self.actions - 1), (GOES_ON, "weights", 1)]
         if self.masks:
             columns += [(MASK + move, "masks", 1) for move in range(self.actions)]
-        for name in ("store", "unfinished"):
-            for column, what, most in columns:
-                numbers = state[name][..., first + column]
-                _ = checked(numbers, numbers, f"{name}, {what}", (0, most))
+        for column, what, most in columns:
+            numbers = state["store"][..., first + column]
+            _ = checked(numbers, numbers, f"store, {what}", (0, most))
 
     def bind(self) -> None:
         """Renews the device's counts, which on the processor are the same numbers."""
@@ -160,7 +144,7 @@ class Replay(PerNetworkState):
             after: the player's buffers after the step.
         """
         _, capacity, width = self.store.shape
-        most = after.acted.size * self.n_step
+        most = after.acted.size
         if self._place.size < most:
             self._place = np.empty(most, np.int64)
         here = self.device.type == "cpu"
@@ -175,8 +159,7 @@ class Replay(PerNetworkState):
             after.agents, after.obs.reshape(games, -1, self.features), after.mask,
             after.actions, after.acted, after.reward, after.ending,
             after.final_obs.reshape(games, -1, self.features), after.final_mask,
-            self.masks, self.n_step, self.gamma, self.waiting, self.unfinished,
-            self.final_failures, self.late, self.last,
+            self.masks, self.final_failures, self.late, self.last,
             capacity, self.stored, self._place, here, rows,
         )  # fmt: skip
         if self.late:  # nothing that is paid in the next episode is for this one
@@ -186,7 +169,6 @@ class Replay(PerNetworkState):
             place = place.to(self.device)
             self.store.view(-1, width)[place] = torch.from_numpy(rows[:count]).to(self.device)
             self._stored.copy_(torch.from_numpy(self.stored))
-        self._added(place)
 
     def _pay_late(self, before: PreStep, after: StepBuffers) -> None:
         """Adds what agents are paid that did not move to the reward of their last moves."""
@@ -195,21 +177,15 @@ class Replay(PerNetworkState):
         games = len(after.acted) // networks
         network, paid = m // games, after.reward[m, k]
         numbers = self.last[network, m % games, before.agents[m, k]]
-        kept = (numbers > 0) & (self.stored[network, None] - numbers < capacity)
-        row, age = np.nonzero(kept)
-        place = network[row] * capacity + (numbers[row, age] - 1) % capacity
-        added = paid[row] * np.float32(self.gamma) ** age
+        kept = (numbers > 0) & (self.stored[network] - numbers < capacity)
+        place = (network * capacity + (numbers - 1) % capacity)[kept]
         where = torch.from_numpy(place).to(self.device)
         reward = self.store.view(-1, width)[:, 2 * self.features + REWARD]
-        reward.index_add_(0, where, torch.from_numpy(added.astype(np.float32)).to(self.device))
+        reward.index_add_(0, where, torch.from_numpy(paid[kept]).to(self.device))
 
     def cut(self) -> None:
-        """Forgets unfinished returns: the games have been started anew."""
-        self.waiting[:] = 0
+        """Pays nobody for tasks that have ended: the games have been started anew."""
         self.last[:] = 0
-
-    def _added(self, place: Tensor) -> None:
-        """Takes note of rows of the store, counted through all networks, that are new."""
 
     def sample(self, size: int, counters: Tensor) -> Batch:
         """A sample with replacement for each network.
@@ -222,9 +198,6 @@ class Replay(PerNetworkState):
         there = self._stored.clamp(1, self.store.shape[1])
         draws = uniforms(self.keys, counters, torch.arange(size, device=self.device))
         return self._batch((draws * there[:, None]).long())
-
-    def learned(self, batch: Batch, error: Tensor, due: Tensor) -> None:
-        """Takes note of the errors (L, B, 1) of a sample, where networks (L, 1) were due."""
 
     def _batch(self, place: Tensor) -> Batch:
         """The transitions at places (L, B)."""
@@ -241,7 +214,6 @@ class Replay(PerNetworkState):
             reward=rows[..., rest + REWARD, None],
             goes_on=rows[..., rest + GOES_ON, None],
             mask=rows[..., rest + MASK : rest + MASK + self.actions] if self.masks else None,
-            place=place,
         )
 
 
@@ -249,65 +221,36 @@ class Replay(PerNetworkState):
 def _add(
     agents: Any, obs: Any, next_agents: Any, next_obs: Any, next_mask: Any, actions: Any,
     acted: Any, reward: Any, ending: Any, final_obs: Any, final_mask: Any, masks: bool,
-    n_step: int, gamma: float, waiting: Any, unfinished: Any, final_failures: bool, late: bool,
-    last: Any, capacity: int, stored: Any, place: Any, here: bool, rows: Any,
+    final_failures: bool, late: bool, last: Any, capacity: int, stored: Any, place: Any,
+    here: bool, rows: Any,
 ) -> int:  # fmt: skip
-    """Makes rows of what a step finished; returns how many."""
+    """Makes rows of a step's transitions; returns how many."""
     games, features = len(acted) // len(stored), obs.shape[2]
     rest = 2 * features
     count = 0
     for m in range(acted.shape[0]):
-        network, game = m // games, m % games
+        network = m // games
         for k in range(acted.shape[1]):
             if not acted[m, k]:
                 continue
             n = agents[m, k]
-            first, older = n_step == 1, 0
-            if not first:
-                older = waiting[network, game, n]
             ended = ending[m, k] != Ending.NONE
             over = ended or next_agents[m, k] != n
             final = ended and (final_failures or ending[m, k] == Ending.JOINED)
+            place[count] = network * capacity + stored[network] % capacity
+            row = rows[place[count] if here else count]
+            for f in range(features):
+                row[f] = obs[m, k, f]
+                row[features + f] = final_obs[m, k, f] if over else next_obs[m, k, f]
+            row[rest + MOVE] = actions[m, k]
+            row[rest + REWARD] = reward[m, k]
+            row[rest + GOES_ON] = not final
+            if masks:
+                for move in range(final_mask.shape[2]):
+                    mask = final_mask[m, k, move] if over else next_mask[m, k, move]
+                    row[rest + MASK + move] = mask
+            stored[network] += 1
+            count += 1
             if late:
-                for age in range(n_step):
-                    last[network, game, n, age] = 0
-            for i in range(older + 1):
-                age = older - i
-                if first:
-                    finished = True
-                else:
-                    kept = unfinished[network, game, n, i]
-                    if age == 0:
-                        for f in range(features):
-                            kept[f] = obs[m, k, f]
-                        kept[rest + MOVE] = actions[m, k]
-                        kept[rest + REWARD] = 0
-                    kept[rest + REWARD] += np.float32(gamma**age) * reward[m, k]
-                    finished = ended or age + 1 == n_step
-                if not finished:
-                    continue
-                place[count] = network * capacity + stored[network] % capacity
-                row = rows[place[count] if here else count]
-                for f in range(features):
-                    row[f] = obs[m, k, f] if first else kept[f]
-                    row[features + f] = final_obs[m, k, f] if over else next_obs[m, k, f]
-                row[rest + MOVE] = actions[m, k] if first else kept[rest + MOVE]
-                row[rest + REWARD] = reward[m, k] if first else kept[rest + REWARD]
-                row[rest + GOES_ON] = 0 if final else gamma**age
-                if masks:
-                    for move in range(final_mask.shape[2]):
-                        mask = final_mask[m, k, move] if over else next_mask[m, k, move]
-                        row[rest + MASK + move] = mask
-                stored[network] += 1
-                count += 1
-                if late and ended:
-                    last[network, game, n, age] = stored[network]
-            if first:
-                continue
-            # The oldest has left after n steps, all of them at the end of a task.
-            left = older + 1 if ended else int(older + 1 == n_step)
-            for i in range(left, older + 1):
-                for f in range(unfinished.shape[4]):
-                    unfinished[network, game, n, i - left, f] = unfinished[network, game, n, i, f]
-            waiting[network, game, n] = older + 1 - left
+                last[network, m % games, n] = stored[network] if ended else 0
     return count
