@@ -342,10 +342,13 @@ class Player:
         self._replace(self.draws.go_to(counts, seeds))
 
     def restore(self, saved: Saved) -> None:
-        """Puts all games back into a saved state; raises ValueError if its shapes do not fit."""
+        """Puts all games back into a saved state; raises ValueError if it is of other games."""
         if saved.counts is not None or self.draws is not None:
             counts = np.zeros(0, np.int64) if saved.counts is None else saved.counts
             self.go_to(counts, saved.seeds)
+        agents, nets = saved.buffers.agents, self.engine.nets.shape[1]
+        if not NOBODY <= agents.min() <= agents.max() < nets:
+            raise ValueError(f"saved: expected {NOBODY} to {nets - 1} for agents")
         self.engine.restore(saved.dynamic)
         for name in StepBuffers._fields:
             getattr(self.buffers, name)[...] = getattr(saved.buffers, name)
@@ -517,15 +520,6 @@ class Player:
             see_paper(engine.static, engine.dynamic, fast.via_capacity, problems, agents, out)
         else:
             self.observation.write(engine, problems, agents, out)
-
-    def show(self) -> None:
-        """Writes what agents see now, after the games have been changed from outside."""
-        b, engine = self.buffers, self.engine
-        problems = engine.pairs(self.everyone)[0]
-        b.mask[:] = engine.masks(problems, b.agents.reshape(-1)).reshape(b.mask.shape)
-        self._look(None)
-        self._turn_masks()
-        self._mirror(slice(None))
 
     def _look(self, which: NDArray[np.bool_] | None) -> None:
         """Writes what agents see now, in all problems or where ``which`` (M,) is true."""

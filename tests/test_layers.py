@@ -66,7 +66,7 @@ ROOMS = {
         ("generalist.outlook", "generalist.regrets", "generalist.cheapest_tree"),
         ("learned.per_network", "learned.counter_rng", "learned.machine", "learned.checkpoint"),
         ("learned.networks", "learned.memory", "learned.exploration"),
-        ("learned.compiled", "learned.logged_player"),
+        ("learned.compiled",),
         ("generalist.walk",),
         ("learned.greedy",),
         ("learned.learner",),

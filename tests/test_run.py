@@ -1309,9 +1309,14 @@ DAMAGES: dict[str, Callable[[Path], None]] = {
         for key in ("problems", "training", "trainer", "seconds", "figures", "logged", "evaluated")
     },
     "no policies": changed(lambda state: state["trainer"].pop("policies")),
-    "no moves": changed(lambda state: state["trainer"].pop("moves")),
-    "moves that are none": changed(lambda state: state["trainer"]["moves"].fill_(9)),
-    "more moves than there are": changed(lambda state: state["trainer"]["made"].fill_(10**6)),
+    "no games": changed(lambda state: state["trainer"].pop("games.agents")),
+    "games of fewer nets": reshaped("trainer", "games.agents"),
+    "games of another type": changed(
+        lambda state: state["trainer"].update({"step.obs": state["trainer"]["step.obs"].int()})
+    ),
+    "agents off the grid": changed(lambda state: state["trainer"]["games.agents"].fill_(99)),
+    "turns of no agent": changed(lambda state: state["trainer"]["games.games"].fill_(99)),
+    "rows of no agent": changed(lambda state: state["trainer"]["step.agents"].fill_(99)),
     "no routes": changed(lambda state: state.update(routes=[None, None])),
     "routes off the grid": changed(lambda state: state["routes"][0].fill_(10**6)),
     "routes of no net": changed(lambda state: state["routes"][0][0].fill_(99)),
@@ -1333,7 +1338,6 @@ DAMAGES: dict[str, Callable[[Path], None]] = {
     "no mapping": changed(lambda state: state.update(training=[1, 2])),
     "no best episode": changed(lambda state: state["trainer"]["best_episode"].fill_(-1)),
     "a best episode to come": changed(lambda state: state["trainer"]["episodes"].fill_(1)),
-    "an impossible reward": changed(lambda state: state["trainer"]["total"].fill_(1e30)),
     "a parameter": changed(
         lambda state: state["training"].update(
             {"networks.flat": torch.nn.Parameter(state["training"]["networks.flat"])}

@@ -26,10 +26,10 @@ from marouting.batch.rules import (
     write_moves,
 )
 from marouting.batch.setup import Room, dynamic_state, replace_problem, static_state
-from marouting.batch.state import Dynamic, Static
+from marouting.batch.state import Dynamic, Option, Static
 from marouting.columns import as_int32, check_rows
 from marouting.config import check
-from marouting.game import NOBODY
+from marouting.game import NOBODY, Crossing, Ending
 from marouting.kernels import as_index, compiled, i64
 from marouting.observations import CHANNELS
 from marouting.problem.grid import Grid
@@ -311,13 +311,37 @@ class Engine:
         return Dynamic._make(array.copy() for array in self.dynamic)
 
     def restore(self, saved: Dynamic) -> None:
-        """Puts all games back into a state of :meth:`save`; ValueError if its shapes do not fit."""
+        """Puts all games back into a state of :meth:`save`; ValueError if it is of other games."""
         for name, array in self.dynamic._asdict().items():
             kept = getattr(saved, name)
             if (kept.shape, kept.dtype) != (array.shape, array.dtype):
                 raise ValueError(f"saved: expected shape {array.shape}, found {kept.shape}")
+        self._check_indices(saved)
         for name, array in self.dynamic._asdict().items():
             array[...] = getattr(saved, name)
+
+    def _check_indices(self, saved: Dynamic) -> None:
+        """Raises ValueError for numbers that compiled code could not use as indices."""
+        agents, games, options = saved.agents, saved.games, self.static.options
+        nets, gcells, tasks = self.nets.shape[1], self.grid.gcells, len(self.static.tasks)
+        line, again = options[Option.LINE], options[Option.AGAIN]
+        most = max(int(options[Option.AGAIN_MOST]), 0)
+        limits = {
+            "cell": (agents["cell"], 0, gcells - 1),
+            "target": (agents["target"], 0, gcells - 1),
+            "task": (agents["task"], NOBODY, tasks),
+            "crossing": (agents["crossing"], 0, int(max(Crossing))),
+            "ending": (agents["ending"], 0, int(max(Ending))),
+            "agent": (games["agent"], NOBODY, nets - 1),
+            "turn": (games["turn"], 0, nets - 1),
+            "place": (games["place"], 0, nets),
+            "again": (games["again"], 0, most),
+            "line": (saved.numbers[:, line : line + nets * (line >= 0)], NOBODY, nets - 1),
+            "rerouted": (saved.numbers[:, again : again + most * (again >= 0)], NOBODY, nets - 1),
+        }
+        for name, (numbers, least, largest) in limits.items():
+            if numbers.size and not least <= numbers.min() <= numbers.max() <= largest:
+                raise ValueError(f"saved: expected {least} to {largest} for {name}")
 
     def check(self, moves: NDArray[np.integer]) -> None:
         """Raises ValueError for moves that :meth:`move` does not accept."""

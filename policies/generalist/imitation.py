@@ -223,7 +223,7 @@ class Imitation(Learner):
                 kinds = np.zeros(len(games))
                 _draw(self.explore.keys[0], self.begun[0], _PLAIN, kinds)
                 self.plain[0, begins] = kinds[begins] < self.options.plain
-                self.resume(player, begins)
+                engine.begin_plain(begins & self.plain[0])
                 learns[begins & self.plain[0]] = False  # the first agent has seen prices
         new = (games["agent"] != last) & (games["agent"] != NOBODY) & (games["round"] == 0)
         waits = (new | begins) & ((games["plain"] == 1) | (not priced))
@@ -233,11 +233,6 @@ class Imitation(Learner):
                 self.regrets.expect(m, np.flatnonzero(engine.tasks[m]), solution, 1)
             self.regrets.expect(m, np.array([n]), solution, -1)
         return learns
-
-    def resume(self, player: Player, which: NDArray[np.bool_]) -> None:
-        """See :meth:`policies.learned.learner.Learner.resume`."""
-        if player.engine.priced:
-            player.engine.begin_plain(which & self.plain[0])
 
     def _solution(self, m: int, problem: Problem) -> Solution:
         """The expert's solution of the problem that game m plays."""

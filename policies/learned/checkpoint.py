@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from marouting import InputError
@@ -126,6 +127,22 @@ def checked(kept: Any, now: Tensor, name: str, limits: tuple[float, float] = FIN
             text = "finite numbers" if limits == FINITE else f"{limits[0]:g} to {limits[1]:g}"
             raise InputError(f"{name}: expected {text}, found {least:g} to {most:g}")
     return kept
+
+
+def as_rows(array: NDArray[Any]) -> Tensor:
+    """An array (M, …) of any type as the tensor (M, B) uint8 of its bytes."""
+    rows = np.ascontiguousarray(array).reshape(len(array), math.prod(array.shape[1:]))
+    return torch.from_numpy(rows.view(np.uint8))
+
+
+def from_rows(kept: Any, now: NDArray[Any], name: str) -> NDArray[Any]:
+    """The array that :func:`as_rows` made ``kept`` of, in place of ``now``.
+
+    Raises:
+        InputError: it is something else; ``name`` says what.
+    """
+    rows = checked(kept, as_rows(now), name).contiguous()
+    return rows.numpy().view(now.dtype).reshape(now.shape)
 
 
 def _form(value: Any) -> str:

@@ -171,12 +171,6 @@ class Learner(PerNetworkState, abc.ABC):
         for row, of in enumerate(weights):
             self.networks.take(row, of)
 
-    def resume(self, player: Player, which: NDArray[np.bool_]) -> None:
-        """Does again what it did to games (M,) whose episodes have begun, before their first moves.
-
-        A checkpoint holds the moves of games; whoever goes on from it makes them again.
-        """
-
     @abc.abstractmethod
     def observe(self, player: Player, before: PreStep) -> None:
         """Takes in what came of the player's last step, whoever chose the moves."""

@@ -25,7 +25,7 @@ from marouting.observations import has_move_order
 from marouting.problem.grid import MOVES
 from marouting.vector import BatchEnv
 from policies.learned.algorithms.ppo import PPOOptions
-from policies.learned.checkpoint import checked
+from policies.learned.checkpoint import as_rows, checked, from_rows
 from policies.learned.machine import torch_device
 
 _NEVER = -1e9
@@ -303,6 +303,7 @@ class DevicePPO:
 
     def state(self) -> dict[str, Any]:
         """What it takes to go on: plain data and tensors."""
+        env: Any = self.env
         flat = nn.utils.parameters_to_vector
         moments = [self.adam.state.get(p, {}) for p in self._parameters()]
         return {
@@ -311,9 +312,7 @@ class DevicePPO:
             "moments": [{k: v.detach().cpu() for k, v in m.items()} for m in moments],
             "random": self.random.get_state().cpu(),
             "updates": self.updates,
-            "games": [
-                torch.from_numpy(np.frombuffer(part, np.uint8).copy()) for part in self._games()
-            ],
+            "games": [as_rows(array) for array in env.save()],
         }
 
     def load_state(self, state: Mapping[str, Any], where: str) -> None:
@@ -332,7 +331,14 @@ class DevicePPO:
                 self.adam.state[parameter] = {"step": step.to(self._adam_steps), **found}
         self.random.set_state(state["random"])
         self.updates = int(state["updates"])
-        self._restore([part.numpy().tobytes() for part in state["games"]], where)
+        env: Any = self.env
+        name, games, now = f"{where}: games", state["games"], env.save()
+        check(name, len(games) == len(now), f"{len(now)} arrays, found {len(games)}")
+        arrays = [from_rows(kept, array, name) for kept, array in zip(games, now, strict=True)]
+        try:
+            env.restore(arrays)
+        except ValueError:
+            raise InputError(f"{name}: expected those of such a training") from None
 
     @property
     def _adam_steps(self) -> torch.device:
@@ -341,21 +347,6 @@ class DevicePPO:
 
     def _parameters(self) -> list[nn.Parameter]:
         return [*self.actor.parameters(), *self.critic.parameters()]
-
-    def _games(self) -> list[bytes]:
-        env: Any = self.env
-        return [array.tobytes() for array in env.save()]
-
-    def _restore(self, parts: list[bytes], where: str) -> None:
-        env: Any = self.env
-        try:
-            arrays = [
-                np.frombuffer(part, now.dtype).reshape(now.shape)
-                for part, now in zip(parts, env.save(), strict=True)
-            ]
-            env.restore(arrays)
-        except ValueError:
-            raise InputError(f"{where}: games: expected those of such a training") from None
 
     @torch.no_grad()
     def __call__(self, obs: Any, mask: Any) -> Any:

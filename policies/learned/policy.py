@@ -33,7 +33,6 @@ def player_of(
     env: EnvOptions,
     problems: Sequence[Problem] | ProblemSampler,
     negotiation: Negotiation | None = None,
-    kind: type[Player] = Player,
 ) -> Player:
     """A player of the game that a configuration's ``env`` describes, for learners.
 
@@ -41,7 +40,6 @@ def player_of(
         env: the options.
         problems: the problems, or what games draw theirs from.
         negotiation: how nets negotiate; None: they do not.
-        kind: the class of the player.
 
     Raises:
         InputError: the problems do not go together.
@@ -58,7 +56,7 @@ def player_of(
     )
     observation, reward = env.observation.make(), env.reward.make()
     everyone = env.agents == "multi"
-    return kind(engine, observation, reward, everyone=everyone, draws=draws, turned=True)
+    return Player(engine, observation, reward, everyone=everyone, draws=draws, turned=True)
 
 
 def check_weights(weights: Mapping[str, Any], module: nn.Module) -> None:

@@ -20,16 +20,24 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from marouting import InputError, Problem, Solution
+from marouting.batch.state import Dynamic
 from marouting.config import check
 from marouting.game import NOBODY
 from marouting.observations import state_space_of
+from marouting.player import Player, Saved, StepBuffers
 from marouting.source import ProblemSampler
 from policies.learned.burn_in import GUIDES, guide, read_solutions
-from policies.learned.checkpoint import ANY, FINITE, TRAINING_FORMAT, checked
+from policies.learned.checkpoint import (
+    ANY,
+    FINITE,
+    TRAINING_FORMAT,
+    as_rows,
+    checked,
+    from_rows,
+)
 from policies.learned.config import Config
 from policies.learned.exploration import Exploration
 from policies.learned.learner import Learner, Setup
-from policies.learned.logged_player import LoggedPlayer
 from policies.learned.machine import torch_device, use_threads
 from policies.learned.memory.pre_step import PreStep
 from policies.learned.per_network import COUNT
@@ -96,9 +104,7 @@ class Trainer:
         else:
             self._copies = int(getattr(learner.options, "num_envs", 1))
             source = [problem for problem in problems.values() for _ in range(self._copies)]
-        player = player_of(config.env, source, train.negotiation, LoggedPlayer)
-        assert isinstance(player, LoggedPlayer)
-        self.player = player
+        self.player = player_of(config.env, source, train.negotiation)
         b = self.player.buffers
         shapes = [p.buffers.obs.shape[2:] for p in (self._whole, self.player)]
         what = f"the same shape for all problems, found {shapes[0]} and {shapes[1]}"
@@ -371,8 +377,10 @@ class Trainer:
     def _rows(self) -> dict[str, dict[str, Tensor]]:
         """What a checkpoint holds of the problems that still train, a row each, or one for all."""
         rows = 1 if self.config.train.shared else len(self.places)
-        before = torch.from_numpy(self._before.reshape(rows, -1, 2))
-        return {"training": self.learner.state(), "games": {"before": before}}
+        games = {"before": torch.from_numpy(self._before)}
+        games |= {name: as_rows(array) for name, array in _games_of(self.player).items()}
+        each = {name: of.unflatten(0, (rows, -1)) for name, of in games.items()}
+        return {"training": self.learner.state(), "games": each}
 
     def _all_rows(self) -> dict[str, dict[str, Tensor]]:
         """The same of all problems, also of those that have left."""
@@ -388,18 +396,6 @@ class Trainer:
             }
         return whole
 
-    def _under_way(self) -> dict[str, Tensor]:
-        """The moves and rewards of the episodes under way; none in games that have left."""
-        player, count = self.player, len(self.episodes) * self._copies
-        moves, made, total = player.moves, np.zeros(count, np.int64), np.zeros(count)
-        games = (self.places[:, None] * self._copies + np.arange(self._copies)).ravel()
-        made[games], total[games] = player.made, player.buffers.total
-        log = np.full((count, int(made.max()), moves.shape[2]), NOBODY, np.int16)
-        for game, own, steps in zip(games, moves, player.made, strict=True):
-            log[game, :steps] = own[:steps]
-        arrays = {"moves": log, "made": made, "total": total}
-        return {name: torch.from_numpy(array) for name, array in arrays.items()}
-
     def state(self) -> dict[str, Any]:
         """Everything that it takes to go on as if never stopped."""
         rows = self._all_rows()
@@ -412,7 +408,6 @@ class Trainer:
             "trainer": {
                 **{name: torch.from_numpy(array) for name, array in self._arrays().items()},
                 **{name: row.flatten(0, 1) for name, row in rows["games"].items()},
-                **self._under_way(),
             },
             "routes": [best and torch.from_numpy(np.stack(best.uses)) for best in self.best],
         }
@@ -435,24 +430,18 @@ class Trainer:
         if not (type(then) is int and 1 <= then <= most):
             raise InputError(f"{where}: in_all: expected a number from 1 to {most}")
         player, kept = self.player, state["trainer"]
-        own = self._arrays()
-        shaped = {**own, "before": self._before, "total": player.buffers.total, "made": player.made}
-        known = {"training": self.learner.state().keys(), "trainer": {*shaped, "moves"}}
+        own, games = self._arrays(), _games_of(player)
+        shaped = {**own, "before": self._before}
+        known = {"training": self.learner.state().keys(), "trainer": {*shaped, *games}}
         for part, names in known.items():
             if more := state[part].keys() - names:
                 raise InputError(f"{where}: {min(more)}: expected nothing of that name")
-        moves = kept.get("moves")
-        steps = moves.shape[1] if isinstance(moves, Tensor) and moves.ndim == 3 else 0
-        shaped["moves"] = np.zeros((len(player.made), steps, player.moves.shape[2]), np.int16)
         limits = {
             **dict.fromkeys(("score", "policy_score"), ANY),
             **dict.fromkeys(("episodes", "policy_episode", "_evaluated"), (0, then)),
-            "total": (-LARGEST, LARGEST),
             "best_episode": (NOBODY, then - 1),
             "draws": COUNT,
             "steps": COUNT,
-            "made": (0, steps),
-            "moves": (NOBODY, player.engine.actions - 1),
         }
         arrays = {
             name: checked(
@@ -471,15 +460,18 @@ class Trainer:
         if [solution is None for solution in routes] != (best == NOBODY).tolist():
             raise InputError(f"{where}: routes: expected those of every best episode")
         self.learner.load_state(state["training"], f"{where}: ")
-        if "draws" in arrays:
-            player.go_to(arrays["draws"])
-        resume = functools.partial(self.learner.resume, player)
-        player.replay(arrays["moves"], arrays["made"], resume)
-        player.buffers.total[:], self.best = arrays["total"], routes
+        rows = [from_rows(kept.get(name), now, f"{where}: {name}") for name, now in games.items()]
+        dynamic = Dynamic._make(rows[: len(Dynamic._fields)])
+        buffers = StepBuffers._make(rows[len(Dynamic._fields) :])
+        try:
+            player.restore(Saved(dynamic, buffers, arrays.get("draws")))
+        except ValueError as error:
+            raise InputError(f"{where}: games: {error}") from None
+        self.best = routes
         for name, array in own.items():
             array[...] = arrays[name]
         self._before[...] = arrays["before"]
-        over = player.buffers.over.reshape(-1, self._copies)
+        over = (player.engine.games["active"] == 0).reshape(-1, self._copies)
         if ((self._trains & (self.episodes < then))[:, None] & over).any():
             raise InputError(f"{where}: expected games of all problems with episodes to train")
         running = self.running
@@ -493,6 +485,12 @@ class Trainer:
 
 _OWN = ("episodes", "steps", "score", "best_episode", "_evaluated")
 """Attributes of a trainer that a checkpoint holds, beside the learner, the games and the routes."""
+
+
+def _games_of(player: Player) -> dict[str, NDArray[Any]]:
+    """The arrays of a player's games by name: those of ``Dynamic``, then its buffers."""
+    games = {f"games.{name}": of for name, of in player.engine.dynamic._asdict().items()}
+    return games | {f"step.{name}": of for name, of in player.buffers._asdict().items()}
 
 
 def _routes(kept: Any, problem: Problem, where: str) -> Solution | None:

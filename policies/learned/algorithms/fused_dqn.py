@@ -29,7 +29,6 @@ from policies.learned.compiled.gradient import (
 )
 from policies.learned.exploration import choose
 from policies.learned.learner import Learner, Setup
-from policies.learned.logged_player import LoggedPlayer
 from policies.learned.memory.replay import GOES_ON, MASK, MOVE, REWARD
 from policies.learned.networks.mlp import MLP
 
@@ -61,8 +60,6 @@ class Play(NamedTuple):
     counters: NDArray[np.int64]  # (M,)
     epsilon: NDArray[np.float64]  # (M,)
     pending: NDArray[np.int64]  # (L,) moves not yet answered by a gradient step
-    moves: NDArray[np.int16]  # (M, S, K) see LoggedPlayer; without room where nothing is logged
-    made: NDArray[np.int64]  # (M,) likewise
 
 
 @allocating
@@ -106,10 +103,6 @@ def _play_network(
                 play.keys, play.counters, play.epsilon, b.active, b.mask, play.values, nets.masks,
                 b.actions, m,
             )  # fmt: skip
-            if dynamic.games[m].active > 0 and play.made[m] < play.moves.shape[1]:
-                for k in range(rows):
-                    play.moves[m, play.made[m], k] = b.actions[m, k]
-                play.made[m] += 1
             mover = b.agents[m, 0]
             for k in range(rows):
                 for f in range(b.obs.shape[2]):
@@ -206,10 +199,6 @@ class FusedDQN(DQN):
     def play(self, player: Player, steps: int) -> None:
         """See :meth:`policies.learned.learner.Learner.play`; one network after the other."""
         b, explore, engine = player.buffers, self.explore, player.engine
-        moves, made = np.empty((1, 0, 1), np.int16), np.zeros(len(b.over), np.int64)
-        if isinstance(player, LoggedPlayer):
-            player.make_log(steps)
-            moves, made = player.moves, player.made
         play = Play(
             np.empty((*b.agents.shape, MOVES), np.float32),
             np.empty(b.obs.shape, np.float32),
@@ -217,8 +206,6 @@ class FusedDQN(DQN):
             explore.counters.reshape(-1),
             explore.epsilon.reshape(-1),
             self.pending_updates,
-            moves,
-            made,
         )
         run = _play_threaded if self.setup.threads > 1 else _play
         run(
