@@ -809,10 +809,37 @@ def pairs() -> Iterator[Any]:
             yield pytest.param(kind, agents, shared, marks=[] if often else pytest.mark.slow)
 
 
+@pytest.fixture
+def few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Trainings may stop within episodes, after every three steps."""
+    monkeypatch.setattr("policies.learned.trainer._STEPS", 3)
+
+
 @pytest.mark.parametrize(("kind", "agents", "shared"), pairs())
+@pytest.mark.usefixtures("few_steps")
 def test_every_learner_goes_on_from_a_state(kind: str, agents: str, shared: bool) -> None:
-    problems = {"p": tiny(), "q": tiny(1, nets=2)}
-    config = kind_config(kind, agents, shared)
+    goes_on({"p": tiny(), "q": tiny(1, nets=2)}, kind_config(kind, agents, shared), 5)
+
+
+GAMES: dict[str, dict[str, Any]] = {
+    "trees": {"agents": "multi", "target": "tree", "mask": {"visited": True}},
+    "window": {"turn_order": "round_robin", "observation": "window"},
+    "rip-up": {"agents": "multi", "reward": "difference", "rip_up": {"rounds": 2, "neighbours": 1}},
+    "asked": {"rip_up": {"rounds": 3, "choose": "agents"}, "observation": "window"},
+}
+
+
+@pytest.mark.parametrize("env", GAMES.values(), ids=GAMES)
+@pytest.mark.usefixtures("few_steps")
+def test_all_games_go_on_within_their_episodes(env: dict[str, Any]) -> None:
+    problems = {"p": tiny(nets=4, max_pins=3), "q": tiny(1, max_pins=3)}
+    learner = {"burn_in_size": 100, "buffer_size": 5000, "network": {"hidden": [8]}}
+    given = {"env": {"max_steps": 12, **env}, "learner": learner, "train": {"episodes": 6}}
+    goes_on(problems, build(Config, given), 4)
+
+
+def goes_on(problems: dict[str, Problem], config: Config, count: int) -> None:
+    """Checks that a training goes on from within an episode as if never stopped."""
     whole = Trainer(problems, config)
     expected = train(whole)
     assert len(expected) == 12
@@ -820,8 +847,10 @@ def test_every_learner_goes_on_from_a_state(kind: str, agents: str, shared: bool
     episodes: list[Episode] = []
     for finished in first.run():
         episodes += finished
-        if len(episodes) >= 5:
+        games = first.player.engine.games
+        if len(episodes) >= count and ((games["steps"] > 0) & (games["active"] > 0)).any():
             break
+    assert len(episodes) < 12
     second = Trainer(problems, config)
     state = first.state()
     for part in ("training", "trainer"):
