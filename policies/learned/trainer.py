@@ -379,7 +379,7 @@ class Trainer:
         rows = 1 if self.config.train.shared else len(self.places)
         games = {"before": torch.from_numpy(self._before)}
         games |= {name: as_rows(array) for name, array in _games_of(self.player).items()}
-        each = {name: of.unflatten(0, (rows, -1)) for name, of in games.items()}
+        each = {name: of.view(rows, len(of) // rows, of.shape[1]) for name, of in games.items()}
         return {"training": self.learner.state(), "games": each}
 
     def _all_rows(self) -> dict[str, dict[str, Tensor]]:
