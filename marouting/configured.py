@@ -10,6 +10,7 @@ from marouting.env.single import GlobalRoutingSingle
 from marouting.errors import InputError
 from marouting.options import EnvOptions, with_suggestions
 from marouting.registry import allowing_code
+from marouting.source import checked_source
 
 
 def make(
@@ -22,8 +23,9 @@ def make(
     is an agent.
 
     Args:
-        config: the path of a YAML file, a mapping with a key ``env``, an
-            :class:`marouting.options.EnvOptions`, or an object with one as its attribute ``env``.
+        config: the path of a YAML file; a mapping with a key ``env``, whose ``problem`` may also be
+            a :class:`marouting.Problem` or a list of them; an
+            :class:`marouting.options.EnvOptions`; or an object with one as its attribute ``env``.
             All other parts of the configuration belong to :mod:`policies`.
         allow_code: whether a file may name observations and rewards as ``module:Class``, which is
             code that is imported. A mapping always may.
@@ -48,11 +50,19 @@ def make(
         part = {} if part is None else part
         if not isinstance(part, Mapping):
             raise InputError(f"{where}: env: expected a mapping, found {part!r}")
-        options = build(EnvOptions, with_suggestions(part), f"{where}: env")
+        part = with_suggestions(part)
+        problem = part.pop("problem", None)  # may be an object, which options do not hold
+        options = build(EnvOptions, part, f"{where}: env")
+        try:
+            problem = None if problem is None else checked_source(problem)
+        except InputError as error:
+            raise InputError(f"{where}: env: {error}") from None
     else:
         options = getattr(config, "env", config)
         if not isinstance(options, EnvOptions):
             raise InputError(f"config: expected a path, a mapping or a Config, found {config!r}")
+        problem = options.problem
     plain = {field.name: getattr(options, field.name) for field in fields(options)}
+    plain["problem"] = problem
     agents = plain.pop("agents")
     return env(**plain) if agents == "multi" else GlobalRoutingSingle(**plain)

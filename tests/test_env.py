@@ -867,6 +867,19 @@ def test_make_from_a_file(tmp_path: Path) -> None:
         assert env.unwrapped.solution().problem.grid == ROW.grid
 
 
+def test_make_takes_problems_as_objects() -> None:
+    for agents in ("single", "multi"):
+        env = marouting.make({"env": {"agents": agents, "problem": ROW}})
+        assert env.unwrapped.game.problem is ROW
+        env = marouting.make({"env": {"agents": agents, "problem": [ROW, ROW]}})
+        env.reset(seed=0)
+        assert env.unwrapped.game.problem is ROW
+        with pytest.raises(InputError, match="problem: expected none beside a scenario"):
+            marouting.make({"env": {"problem": ROW, "scenario": "toy-4x4-v0"}})
+        with pytest.raises(InputError, match="config: env: problem: expected only objects of cl"):
+            marouting.make({"env": {"problem": [ROW, "p.gr"]}})
+
+
 @pytest.mark.filterwarnings("ignore:.*render_mode='svg'")  # Gymnasium, before it asks us
 @pytest.mark.parametrize(
     ("options", "expected"),

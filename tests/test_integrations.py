@@ -297,6 +297,17 @@ def test_sb3_with_one_player_for_a_game() -> None:
                 seen[m] = there, told
 
 
+def test_sb3_draws_from_problems_given_as_objects() -> None:
+    pytest.importorskip("stable_baselines3")
+    from policies.integrations.sb3 import RoutingVecEnv
+
+    for problem in (PROBLEM, [PROBLEM, PROBLEM]):
+        env = RoutingVecEnv(2, problem=problem, max_steps=6)
+        assert env.reset().shape == (2 * len(PROBLEM.nets), 12)
+        assert env.taken.options["max_steps"] == 6
+        assert "problem" not in env.taken.options
+
+
 @pytest.mark.parametrize("everyone", [True, False])
 def test_sb3_learners_take_it(everyone: bool) -> None:
     pytest.importorskip("sb3_contrib")
@@ -403,6 +414,16 @@ def test_torchrl_steps_the_games_of_the_parallel_environment() -> None:
     assert ends >= 4
 
 
+def test_torchrl_draws_from_problems_given_as_objects() -> None:
+    pytest.importorskip("torchrl")
+    from policies.integrations.torchrl import RoutingEnv
+
+    for problem in (PROBLEM, [PROBLEM, PROBLEM]):
+        env = RoutingEnv(2, problem=problem, max_steps=6)
+        assert env.rollout(3)["nets", "observation"].shape == (2, 3, len(PROBLEM.nets), 12)
+        assert "problem" not in env.taken.saved()["options"]
+
+
 @pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL is tested")
 @pytest.mark.parametrize("interface", ["parallel_env", "env"])
 def test_torchrl_wraps_pettingzoo_only_with_agents_that_persist(interface: str) -> None:
@@ -439,6 +460,9 @@ def test_benchmarl_takes_the_task() -> None:
     from marouting.config import config_file
     from policies.integrations.benchmarl import RoutingTask
 
+    given = {"problem": PROBLEM, "max_steps": 6, "max_cycles": 6}  # an object, as in the recipe
+    env = RoutingTask.TOY_4X4.get_task(given).get_env_fun(2, False, 0, "cpu")()
+    assert env.rollout(3).batch_size == (2, 3)
     task = RoutingTask.TOY_4X4.get_from_yaml(str(config_file("configs/benchmarl/toy_4x4.yaml")))
     env = task.get_env_fun(3, continuous_actions=False, seed=0, device="cpu")()
     assert env.batch_size == (3,)

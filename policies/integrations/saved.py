@@ -19,7 +19,7 @@ class Training:
     """
 
     def __init__(self, options: Mapping[str, Any], *, everyone: bool = True) -> None:
-        known = {field.name for field in fields(GameOptions)}
+        known = {field.name for field in fields(GameOptions)} - {"problem"}
         game = game_options({name: value for name, value in options.items() if name in known})
         order = game.turn_order or ORDERS["multi" if everyone else "single"]
         self.options: dict[str, Any] = {**plain(game), "turn_order": order}
