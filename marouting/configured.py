@@ -5,12 +5,15 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
-from marouting.config import build, read_yaml
+from marouting.config import build, read_yaml, unknown_key
 from marouting.env.single import GlobalRoutingSingle
 from marouting.errors import InputError
 from marouting.options import EnvOptions, with_suggestions
 from marouting.registry import allowing_code
 from marouting.source import checked_source
+
+KEYS = ("seed", "out", "env", "learner", "train")
+"""The keys of a configuration; all but ``env`` belong to :mod:`policies.learned.config`."""
 
 
 def make(
@@ -26,7 +29,8 @@ def make(
         config: the path of a YAML file; a mapping with a key ``env``, whose ``problem`` may also be
             a :class:`marouting.Problem` or a list of them; an
             :class:`marouting.options.EnvOptions`; or an object with one as its attribute ``env``.
-            All other parts of the configuration belong to :mod:`policies`.
+            The other keys of a configuration (:data:`KEYS`) belong to trainings: their values are
+            not looked at.
         allow_code: whether a file may name observations and rewards as ``module:Class``, which is
             code that is imported. A mapping always may.
 
@@ -46,6 +50,9 @@ def make(
             config = read_yaml(config)
     options: EnvOptions
     if isinstance(config, Mapping):
+        for key in config:
+            if key not in KEYS:
+                raise InputError(f"{where}: {unknown_key(str(key), KEYS)}")
         part = config.get("env", {})
         part = {} if part is None else part
         if not isinstance(part, Mapping):

@@ -7,7 +7,7 @@ import copy
 import functools
 import pickle
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -39,10 +39,12 @@ from marouting import (
     global_routing_v0,
 )
 from marouting.batch.state import Dynamic
+from marouting.configured import KEYS
 from marouting.game import NOBODY, Ending, Status
 from marouting.player import Player
 from marouting.rewards import NormalisedReward
 from marouting.vector import BatchEnv
+from policies.learned.config import Config
 
 E, W, N, S, U, D = Move
 seeds = st.integers(0, 2**32)
@@ -828,7 +830,7 @@ def test_rendering(make: Callable[..., Any]) -> None:
         ({"env": None}, gymnasium.Env),
         ({"env": {"agents": "single"}}, gymnasium.Env),
         ({"env": {"agents": "multi"}}, AECEnv),
-        ({"env": {"agents": "multi"}, "training": {"not": "read here"}}, AECEnv),
+        ({"env": {"agents": "multi"}, "train": {"not": "read here"}}, AECEnv),
         (EnvOptions(), gymnasium.Env),
         (EnvOptions(agents="multi"), AECEnv),
         (SimpleNamespace(env=EnvOptions(agents="multi")), AECEnv),
@@ -854,7 +856,7 @@ def test_make_from_a_file(tmp_path: Path) -> None:
         "  max_steps: 2\n"
         "  reward: {own_edge: 0.0}\n"
         "  mask: {in_observation: true}\n"
-        "policy: {name: dqn}\n"
+        "learner: {kind: dqn}\n"
     )
     for path in (config, str(config)):
         env = marouting.make(path)
@@ -865,6 +867,10 @@ def test_make_from_a_file(tmp_path: Path) -> None:
         env.step(D)
         assert env.rewards["net_2"] == 0.0
         assert env.unwrapped.solution().problem.grid == ROW.grid
+
+
+def test_make_knows_the_keys_of_a_training() -> None:
+    assert set(KEYS) == {field.name for field in fields(Config)}
 
 
 def test_make_takes_problems_as_objects() -> None:
@@ -953,6 +959,10 @@ def test_bad_agents() -> None:
     ("config", "expected"),
     [
         ({"env": [1]}, "env: expected a mapping"),
+        ({"agents": "multi"}, "config: agents: unknown key; expected one of seed, out, env, "),
+        ({"evn": {"agents": "multi"}}, "config: evn: unknown key; did you mean env?"),
+        ({"env": {}, "env.wait": True}, "config: env.wait: unknown key; "),
+        ({3: {}}, "config: 3: unknown key; "),
         (None, "expected a path, a mapping or a Config"),
         (5, "expected a path, a mapping or a Config"),
         (SimpleNamespace(env=3), "expected a path, a mapping or a Config"),
@@ -968,6 +978,7 @@ def test_configs_that_cannot_be_used(config: Any, expected: str) -> None:
     ("text", "expected"),
     [
         ("env: {turn_ordr: x}\n", "config.yaml: env: turn_ordr: unknown key; did you mean"),
+        ("evn:\n  agents: multi\n", "config.yaml: evn: unknown key; did you mean env"),
         ("env:\n  - [\n", r"config.yaml:\d+: expected YAML"),
         ("- 1\n", "config.yaml: expected a mapping"),
         ("env: !!python/object:os.system {}\n", "config.yaml:1: expected YAML"),
