@@ -894,6 +894,19 @@ def test_own_references(own: Scenario, tmp_path: Path, monkeypatch: pytest.Monke
         assert own.cost(wirelength - 5, 1) == wirelength + 15
 
 
+@pytest.mark.usefixtures("own")
+def test_references_need_a_file_and_a_scenario() -> None:
+    for name, expected in (
+        ("corridor-v0", "corridor-v0: references: expected a file to write them to, in"),
+        ("no_such_module:mine", "scenario: no_such_module:mine: there is no module no_such_module"),
+        ("toy", "scenario: did you mean toy-4x4-v0? expected one of"),
+    ):
+        ran = CliRunner().invoke(main, [name])
+        assert ran.exit_code == 2
+        assert ran.stderr.count("\n") == 1
+        assert f"Error: {expected}" in ran.stderr
+
+
 OWN = """
 from marouting import Field, scenarios
 
@@ -940,6 +953,15 @@ def test_commands_take_scenarios_of_modules(lanes: str) -> None:
     config = parse_yaml(Path("run/config.yaml").read_text(encoding="utf-8"), "config.yaml")
     assert config["env"]["scenario"] == lanes
     assert config["env"]["mask"]["visited"] is True
+
+
+def test_references_of_a_scenario_in_a_module(lanes: str) -> None:
+    with importing_from(Path.cwd()):
+        ran = CliRunner().invoke(main, [lanes, "--seconds", "20"])
+    assert ran.exit_code == 0, ran.output
+    assert len(read_references(Path("lanes.json")).references) == 5
+    assert ran.stderr.count("\n") == 5
+    assert scenarios.load(lanes).reference(scenarios.get("lanes-v0").test[0]).proven
 
 
 def test_scenarios_of_modules_in_python(lanes: str) -> None:

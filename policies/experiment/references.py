@@ -4,6 +4,7 @@ Usage, from a checkout::
 
     python -m policies.experiment.references                       # whatever has none yet
     python -m policies.experiment.references tight-16x16-v0 --seconds 60 --again
+    python -m policies.experiment.references own_levels:mine       # a scenario of your own
 
 Each problem goes to the router ``optimal``, which has ``--seconds`` to prove an optimum. If it
 cannot, negotiated congestion tries with several seeds to find a better solution. What was known
@@ -27,7 +28,7 @@ from marouting import (
 )
 from marouting.config import check
 from marouting.files import write_text
-from marouting.scenarios.references import Record, read_references, references_in
+from marouting.scenarios.references import FOLDER, Record, read_references, references_in
 from policies.command import Command
 from policies.routers.optimal import OptimalRouter
 from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
@@ -86,10 +87,18 @@ def _better(known: Record, new: Record) -> Record:
 def solve_scenario(name: str, effort: Effort, *, again: bool = False) -> Iterator[Record]:
     """Computes the references of a scenario and writes them to its file, one by one.
 
-    With ``again`` effort is also spent on problems whose reference is known but not proven.
+    Args:
+        name: the scenario's name, or ``module:NAME``.
+        effort: what is spent on each problem.
+        again: whether it is also spent on problems whose reference is known but not proven.
+
+    Raises:
+        InputError: there is no such scenario, or it is one of your own that names no file.
     """
-    scenario = scenarios.get(name)
-    path = scenario.references
+    scenario = scenarios.load(name)
+    path, shipped = scenario.references, (*scenarios.PLANNING, *scenarios.COOPERATION)
+    what = "a file to write them to, in scenarios.register(…, references=…)"
+    check(f"{scenario.name}: references", scenario in shipped or path.parent != FOLDER, what)
     kept = read_references(path)
     known = kept.references
     problems = {**scenario.problems("validation"), **scenario.problems("test")}
@@ -120,7 +129,7 @@ def main(
     each: float,
     again: bool,
 ) -> None:
-    """Computes the references of scenarios (all, unless NAMES are given)."""
+    """Computes the references of scenarios: NAMES, module:NAME for your own, or all."""
     check("--seconds", seconds >= 0, "a number from 0")
     check("--each", each >= 0, "a number from 0")
     check("--seeds", seeds >= 0, "a number from 0")
