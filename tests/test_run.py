@@ -240,6 +240,19 @@ def test_a_training_ends_after_so_many_steps(tmp_path: Path) -> None:
         )
 
 
+def test_a_training_may_end_before_its_first_episode(tmp_path: Path) -> None:
+    short = ["learner.rollout=4", "learner.minibatch=4", "train.steps=4", "train.figures=true"]
+    config = gates(tmp_path / "a", *short)
+    rows = Run(config).execute()
+    assert (tmp_path / "a" / "metrics.jsonl").read_text() == ""
+    assert len(rows) == 12
+    again = Run(config, resume=True)
+    assert again.episodes[0] == 0
+    assert again.finished == rows
+    assert again.standing()[0].problems == 50
+    assert status(["train", "--resume", str(tmp_path / "a")]) == 0
+
+
 @pytest.mark.parametrize(
     ("given", "said"),
     [

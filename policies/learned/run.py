@@ -399,7 +399,7 @@ class Run:
         rows = self._results()
         told = {"figures": asdict(self.figures)}
         _save({**self.trainer.saved.state(), **told}, self.folder / POLICY)
-        if config.train.figures:
+        if config.train.figures and self._logged:  # an episode has ended
             # matplotlib: only if it is wanted
             from policies.figures.plot import reward_figures, run_figures
 
