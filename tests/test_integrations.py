@@ -7,6 +7,7 @@ import pickle
 import re
 import subprocess
 import sys
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -422,6 +423,24 @@ def test_torchrl_draws_from_problems_given_as_objects() -> None:
         env = RoutingEnv(2, problem=problem, max_steps=6)
         assert env.rollout(3)["nets", "observation"].shape == (2, 3, len(PROBLEM.nets), 12)
         assert "problem" not in env.taken.saved()["options"]
+
+
+def test_torchrl_files_that_hold_no_policy_are_refused(tmp_path: Path) -> None:
+    """Other archives, such as models of Stable-Baselines3, text, and objects of another kind."""
+    pytest.importorskip("torchrl")
+    from policies.integrations.torchrl import Policy
+
+    with zipfile.ZipFile(tmp_path / "archive", "w") as archive:
+        archive.writestr("data", "{}")
+    (tmp_path / "text").write_text("hello")
+    (tmp_path / "empty").write_bytes(b"")
+    torch.save({"policy": 1}, tmp_path / "other")
+    saved = "expected a policy that policies.integrations.torchrl.save has saved"
+    for name in ("archive", "text", "empty", "other"):
+        with pytest.raises(InputError, match=rf"{name}: {saved}"):
+            Policy(str(tmp_path / name))
+    with pytest.raises(InputError, match=r"missing: cannot be read: No such file"):
+        Policy(str(tmp_path / "missing"))
 
 
 @pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL is tested")
