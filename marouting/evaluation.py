@@ -6,7 +6,7 @@
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 from marouting.batch.engine import Engine
 from marouting.batch.locality import check_local
-from marouting.config import check
+from marouting.config import check, plain
 from marouting.errors import InputError
 from marouting.options import game_options
 from marouting.problem.solution import evaluate
+from marouting.rules import Rules
 from marouting.scenarios import Split, get
 from marouting.scenarios.score import Figures, score
 from marouting.search.astar import sequential_astar
@@ -135,15 +136,17 @@ def evaluate_policy(
             that see further than this many Gcells (:mod:`marouting.batch.locality`).
         threads: among which the games are divided.
         **options: of the environment (:class:`marouting.options.GameOptions`), such as the
-            observation and the turn order that the policy is made for. The defaults are what the
-            scenario suggests.
+            observation that the policy is made for. The defaults are what the scenario suggests. In
+            the scenarios of policies (docs/cooperation.md) the rules of the game must be these, but
+            for ``wait`` and ``message_bits``.
 
     Returns:
         The figures of the leaderboard, for the split and for each problem.
 
     Raises:
-        InputError: there is no such scenario or split, an option cannot be used, or the observation
-            is not local; or the policy returns something other than one action for each agent.
+        InputError: there is no such scenario or split, an option cannot be used, the game is not
+            that of the scenario, or the observation is not local; or the policy returns something
+            other than one action for each agent.
     """
     env = play_split(policy, scenario, split, local=local, threads=threads, **options)
     return result_of(env.engine, scenario, split)
@@ -163,7 +166,10 @@ def play_split(
     given: dict[str, Any] = {**options, "scenario": scenario, "split": split}
     _ = get(scenario).problems(split)  # or an error
     given.pop("agents", None)  # the turn order decides who has a row
-    sequential = game_options(given).turn_order == "sequential"
+    game = game_options(given)
+    if get(scenario).has_local_rule(split):
+        check_rules(game, scenario)
+    sequential = game.turn_order == "sequential"
     env = BatchEnv(everyone=not sequential, play_once=True, threads=threads, **given)
     if local is not False:
         some = env.engine.part(slice(_CHECKED))
@@ -171,6 +177,31 @@ def play_split(
     play(policy, env)
     env.close()
     return env
+
+
+_CHOICES = ("wait", "message_bits")
+"""Rules in which a policy's game may differ from what the scenario suggests."""
+
+
+def rules_of(scenario: str) -> Rules:
+    """The rules of the game that a scenario suggests."""
+    options = game_options({"scenario": scenario, "split": "test"})
+    return Rules(**{field.name: getattr(options, field.name) for field in fields(Rules)})
+
+
+def check_rules(game: Rules, scenario: str) -> None:
+    """Raises InputError unless a game has the rules that a scenario suggests."""
+    wanted, found = (_of_the_game(rules) for rules in (rules_of(scenario), game))
+    for name, expected in wanted.items():
+        what = f"{expected}, as {scenario} is played, found {found[name]}"
+        check(name, found[name] == expected, what)
+
+
+def _of_the_game(rules: Rules) -> dict[str, Any]:
+    """Rules that a policy cannot choose, as plain data."""
+    told = {field.name: plain(getattr(rules, field.name)) for field in fields(Rules)}
+    told["mask"] = {"visited": rules.mask.visited}  # its other keys are of interfaces
+    return {name: value for name, value in told.items() if name not in _CHOICES}
 
 
 def result_of(engine: Engine, scenario: str, split: Split = "test") -> PolicyResult:

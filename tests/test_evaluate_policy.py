@@ -72,7 +72,7 @@ def test_options_are_those_of_the_environment() -> None:
 
     window = WindowObservation(radius=1)
     evaluate_policy(policy, "toy-4x4-v0", "validation", observation=window, max_steps=3)
-    gates = evaluate_policy(policy, "gates-8x7-v0", "validation", local=3, max_steps=2)
+    gates = evaluate_policy(policy, "gates-8x7-v0", "validation", local=3)
     assert gates.score == scenarios.get("gates-8x7-v0").score(gates.cost, "validation")
     suggested = scenarios.get("gates-8x7-v0").env["observation"]
     options = {name: value for name, value in suggested.items() if name != "kind"}
@@ -80,6 +80,29 @@ def test_options_are_those_of_the_environment() -> None:
         one.space(scenarios.get("toy-4x4-v0").validation, overflow=False).shape
         for one in (window, WindowObservation(**options))
     }
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ({"rip_up": {"rounds": 2}}, "rip_up: expected None, as gates-8x7-v0 is played, found {'ro"),
+        ({"overflow": "allowed"}, "overflow: expected forbidden, as gates-8x7-v0 is played, found"),
+        ({"turn_order": "sequential"}, "turn_order: expected round_robin, as gates-8x7-v0 is pla"),
+        ({"max_steps": 3}, "max_steps: expected None, as gates-8x7-v0 is played, found 3"),
+        ({"mask": {"visited": False}}, "mask: expected {'visited': True}, as gates-8x7-v0 is pla"),
+    ],
+)
+def test_scenarios_of_policies_have_one_game(options: dict[str, Any], expected: str) -> None:
+    with pytest.raises(InputError) as caught:
+        evaluate_policy(first, "gates-8x7-v0", "validation", **options)
+    assert str(caught.value).startswith(expected)
+    assert evaluate_policy(first, "toy-4x4-v0", "validation", **options).problems == 20
+
+
+def test_what_policies_may_choose_in_the_game_of_a_scenario() -> None:
+    options: dict[str, Any] = {"mask": {"visited": True, "in_observation": True}, "wait": True}
+    found = evaluate_policy(first, "gates-8x7-v0", "validation", message_bits=1, **options)
+    assert found.score == evaluate_policy(first, "gates-8x7-v0", "validation").score
 
 
 class Liar(WindowObservation):

@@ -253,6 +253,19 @@ def test_a_training_may_end_before_its_first_episode(tmp_path: Path) -> None:
     assert status(["train", "--resume", str(tmp_path / "a")]) == 0
 
 
+def test_a_training_with_rules_of_its_own_has_no_score(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["learner.kind=ppo", "env.scenario=gates-8x7-v0", "train.games=2", "train.steps=300"]
+    words += ["env.overflow=allowed", "train.figures=false", "train.tensorboard=false"]
+    assert status(["train", *words, f"out={tmp_path / 'a'}"]) == 0
+    told = capsys.readouterr()
+    said = "not scored on gates-8x7-v0: overflow: expected forbidden, as gates-8x7-v0 is played"
+    assert said in told.err
+    assert "next: marouting benchmark --scenario gates-8x7-v0" in told.out
+    assert "score" not in told.out
+
+
 @pytest.mark.parametrize(
     ("given", "said"),
     [

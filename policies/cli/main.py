@@ -487,7 +487,11 @@ def train(
     run = Run(settings, resume=resume is not None)
 
     def tell_rows(rows: Sequence[Mapping[str, Any]]) -> None:
-        standing = run.standing()
+        try:
+            standing = run.standing()
+        except InputError as error:  # rules of its own
+            standing = []
+            click.echo(f"not scored on {settings.env.scenario}: {error}", err=True)
         if as_json:
             told = {"out": run.folder, "episodes": run.episodes[0], "rows": rows}
             splits: dict[str, Any] = {r.split: r.as_dict(rows=False) for r in standing}

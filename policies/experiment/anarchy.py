@@ -33,11 +33,11 @@ import click
 
 from marouting import Problem, scenarios
 from marouting.config import check
+from marouting.evaluation import rules_of
 from marouting.files import read_text, write_text
 from marouting.scenarios import Scenario
 from marouting.scenarios.cooperation import COOPERATION, Braess
 from policies.command import Command
-from policies.experiment.played import rules_of
 from policies.routers.local import LocalRouter, Rule
 
 FOLDER = Path("docs/results/cooperation")

@@ -13,19 +13,18 @@ They are the rows of the policies' table (docs/cooperation.md). What plays is a 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from marouting import Engine, scenarios
-from marouting.config import build, check, code_named, plain
-from marouting.evaluation import play_split
+from marouting.config import build, check, code_named
+from marouting.evaluation import check_rules, play_split, rules_of
 from marouting.observations import local_radius_of
-from marouting.options import PLAYED, GameOptions, game_options
+from marouting.options import PLAYED, game_options
 from marouting.registry import allowing_code
-from marouting.rules import Rules
 from policies.results.rows import Count, Seconds
 from policies.results.run_folder import TrainingFigures
 from policies.routers.local import LocalRouter
@@ -33,9 +32,6 @@ from policies.routers.local import LocalRouter
 FULL, WHOLE, PLANNER = "full sight", "whole board", "planner"
 """What may be seen beside a radius: by a rule that plans on the whole grid, in an observation that
 is not local, and by a router of whole problems, which is no policy but a bound."""
-
-_CHOICES = ("wait", "message_bits")
-"""Rules in which a policy's game may differ from what the scenario suggests."""
 
 
 @runtime_checkable
@@ -73,12 +69,6 @@ UNLEARNED = {"teacher": False, "parameters": 0, "agent_steps": 0, "training_seco
 """What there is to say of a rule or a router that does not learn."""
 
 
-def rules_of(scenario: str) -> Rules:
-    """The rules of the game that a scenario suggests."""
-    options = game_options({"scenario": scenario, "split": "test"})
-    return Rules(**{field.name: getattr(options, field.name) for field in fields(Rules)})
-
-
 def play(
     policy: LocalRouter | MovesPolicy, scenario: str, split: scenarios.Split
 ) -> tuple[Engine, About]:
@@ -100,10 +90,8 @@ def play(
     check("options", isinstance(options, Mapping), f"a mapping, found {options!r}")
     with allowing_code(code for _, code in code_named(options)):
         own = {name: value for name, value in options.items() if name not in PLAYED}
-        if isinstance(own.get("mask"), Mapping):  # its other keys are of interfaces
-            own["mask"] = {key: of for key, of in own["mask"].items() if key == "visited"}
         game = game_options({**own, "scenario": scenario, "split": split})
-        _check_game(game, scenario)
+        check_rules(game, scenario)
         observation = game.observation.make()
         problems = list(scenarios.get(scenario).problems(split).values())
         shape = observation.space(problems, game.overflow == "allowed").shape
@@ -122,16 +110,6 @@ def play(
         "training_seconds": told.processor_seconds,
     }
     return env.engine, build(About, about)
-
-
-def _check_game(game: GameOptions, scenario: str) -> None:
-    """Raises InputError unless a policy plays the scenario's game."""
-    wanted = rules_of(scenario)
-    for field in fields(Rules):
-        expected, found = (plain(getattr(of, field.name)) for of in (wanted, game))
-        if field.name not in _CHOICES:
-            what = f"{expected}, as {scenario} is played, found {found}"
-            check(field.name, found == expected, what)
 
 
 def is_policy(cls: type[Any]) -> bool:

@@ -309,6 +309,10 @@ class Run:
         """What the saved network makes of a scenario's fixed problems, if it learned from others.
 
         That is without rip-up by prices (``train.negotiation``), which only routers have.
+
+        Raises:
+            InputError: the training has other rules than the scenario, see
+                :func:`marouting.evaluate_policy`.
         """
         env, names = self.config.env, self.trainer.names
         if env.scenario is None or not env.endless or self.config.train.negotiation is not None:
