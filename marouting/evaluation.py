@@ -19,7 +19,7 @@ from marouting.errors import InputError
 from marouting.options import game_options
 from marouting.problem.solution import evaluate
 from marouting.rules import Rules
-from marouting.scenarios import Split, get
+from marouting.scenarios import Reference, Scenario, Split, get
 from marouting.scenarios.score import Figures, score
 from marouting.search.astar import sequential_astar
 from marouting.vector import BatchEnv
@@ -47,6 +47,8 @@ class ProblemResult:
         reference: overflow and wirelength of the best solution known.
         score: the score of the leaderboard, see :mod:`marouting.scenarios.score`.
         gap: wirelength above the reference, in %; None if it has open nets or more overflow.
+
+    Reference, score and gap are None in a scenario without references.
     """
 
     problem: str
@@ -56,8 +58,8 @@ class ProblemResult:
     overflow: int
     wirelength: int
     cost: float
-    reference: tuple[int, int]
-    score: float
+    reference: tuple[int, int] | None
+    score: float | None
     gap: float | None
 
 
@@ -82,13 +84,15 @@ class PolicyResult:
         compared: the number of these problems.
         agent_steps: the moves that all agents made.
         rows: the results of the problems one by one.
+
+    Cost, score and gap are None in a scenario without references.
     """
 
     scenario: str
     split: Split
     problems: int
-    cost: float
-    score: float
+    cost: float | None
+    score: float | None
     solved: float
     connected: float
     overflow: int
@@ -107,8 +111,11 @@ class PolicyResult:
 
     def __str__(self) -> str:
         gap = "" if self.gap is None else f", {self.gap:.2f} % above the reference"
+        scored = "without references no score"
+        if self.score is not None:
+            scored = f"cost {self.cost:.4f}, score {self.score:.3f}"
         return (
-            f"{self.scenario} {self.split}: cost {self.cost:.4f}, score {self.score:.3f}, "
+            f"{self.scenario} {self.split}: {scored}, "
             f"{self.solved:.0%} of {self.problems} problems solved, {self.connected:.1%} of tasks "
             f"connected, overflow {self.overflow}, wirelength {self.wirelength}{gap}"
         )
@@ -211,16 +218,21 @@ def result_of(engine: Engine, scenario: str, split: Split = "test") -> PolicyRes
         InputError: there is no such scenario or split.
     """
     found = get(scenario)
-    rows = [_row(engine, m, name, scenario) for m, name in enumerate(found.problems(split))]
+    known = found.has_references(split)
+    problems = found.problems(split).items()
+    rows = [
+        _row(engine, m, name, found, found.reference(problem) if known else None)
+        for m, (name, problem) in enumerate(problems)
+    ]
     gaps = [row.gap for row in rows if row.gap is not None]
-    best = sum(found.cost(row.reference[1], 0) for row in rows)
-    cost = sum(row.cost for row in rows) / best
-    if found.has_local_rule(split):
+    cost = total = None
+    if best := sum(found.cost(row.reference[1], 0) for row in rows if row.reference):
+        cost = sum(row.cost for row in rows) / best
+    if cost is not None and found.has_local_rule(split):
         total = found.score(cost, split)
-    else:
-        scores = np.sort([row.score for row in rows])
+    elif scores := np.sort([row.score for row in rows if row.score is not None]).tolist():
         cut = len(scores) // 4
-        total = float(scores[cut : len(scores) - cut].mean())
+        total = float(np.mean(scores[cut : len(scores) - cut]))
     return PolicyResult(
         scenario=scenario,
         split=split,
@@ -260,14 +272,19 @@ def play(policy: Policy, env: BatchEnv) -> Mapping[str, Any]:
     return info
 
 
-def _row(engine: Engine, m: int, name: str, scenario: str) -> ProblemResult:
+def _row(
+    engine: Engine, m: int, name: str, scenario: Scenario, reference: Reference | None
+) -> ProblemResult:
     """The result of problem m."""
-    found, problem = get(scenario), engine.problems[m]
-    metrics, reference = engine.metrics(m), found.reference(problem)
+    problem, metrics = engine.problems[m], engine.metrics(m)
     figures = Figures.of(evaluate(problem, engine.solution(m)))
-    astar = Figures.of(evaluate(problem, sequential_astar(problem)))
-    best = Figures(0, reference.overflow, reference.wirelength)
-    good = figures[:2] == best[:2]
+    scored = gap = None
+    if reference is not None:
+        astar = Figures.of(evaluate(problem, sequential_astar(problem)))
+        best = Figures(0, reference.overflow, reference.wirelength)
+        scored = score(figures, astar, best)
+        if figures[:2] == best[:2]:
+            gap = 100 * (figures.wirelength / max(best.wirelength, 1) - 1)
     return ProblemResult(
         problem=name,
         joined=metrics.joined,
@@ -275,8 +292,8 @@ def _row(engine: Engine, m: int, name: str, scenario: str) -> ProblemResult:
         open=figures.open,
         overflow=figures.overflow,
         wirelength=figures.wirelength,
-        cost=found.cost(figures.wirelength, metrics.tasks - metrics.joined, figures.overflow),
-        reference=(reference.overflow, reference.wirelength),
-        score=score(figures, astar, best),
-        gap=100 * (figures.wirelength / max(best.wirelength, 1) - 1) if good else None,
+        cost=scenario.cost(figures.wirelength, metrics.tasks - metrics.joined, figures.overflow),
+        reference=None if reference is None else reference[:2],
+        score=scored,
+        gap=gap,
     )

@@ -5,6 +5,7 @@ import hashlib
 import itertools
 import json
 import pickle
+import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -30,6 +31,7 @@ from marouting import (
     Problem,
     WindowObservation,
     evaluate,
+    evaluate_policy,
     global_routing_v0,
     scenarios,
     sequential_astar,
@@ -49,12 +51,14 @@ from marouting.scenarios.references import Best, path_of, read_references, refer
 from marouting.source import load_problem
 from marouting.vector import BatchEnv
 from policies.cli.main import status
+from policies.experiment.leaderboard import read_groups
 from policies.experiment.references import (
     Effort,
     main,
     solve,
     solve_scenario,
 )
+from policies.experiment.result import summarise
 from policies.learned.config import Config, config_of
 from policies.learned.run import Run, problems_of
 from policies.learned.trainer import Trainer
@@ -883,10 +887,23 @@ def test_what_own_scenarios_are_refused() -> None:
 
 
 def test_own_references(own: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def first(_: Any, masks: Any) -> Any:
+        return masks.argmax(axis=1)
+
     with pytest.raises(InputError, match=r"^corridor-v0: references: expected a file with them"):
         own.reference(own.test[0])
+    assert not own.has_references("test")
+    unknown = evaluate_policy(first, "corridor-v0")
+    assert (unknown.cost, unknown.score, unknown.gap, unknown.compared) == (None, None, None, 0)
+    assert all((row.reference, row.score, row.gap) == (None,) * 3 for row in unknown.rows)
+    assert str(unknown).startswith("corridor-v0 test: without references no score, ")
     monkeypatch.setattr(own, "references", tmp_path / "corridor.json")
     assert len(list(solve_scenario("corridor-v0", Effort(seconds=20)))) == 9
+    assert own.has_references("test")
+    scored = evaluate_policy(first, "corridor-v0")
+    assert scored.cost is not None
+    assert scored.score is not None
+    assert (scored.wirelength, scored.connected) == (unknown.wirelength, unknown.connected)
     for problem in own.test:
         overflow, wirelength, proven = own.reference(problem)
         assert (overflow, proven) == (0, True)
@@ -937,19 +954,43 @@ def lanes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     scenarios._imported.clear()
 
 
-def test_commands_take_scenarios_of_modules(lanes: str) -> None:
+def test_commands_take_scenarios_of_modules(lanes: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """With and without references; figures that need them are None, and one line says so."""
+    benchmark = ["benchmark", "--scenario", lanes, "jobs=1"]
+    routers = [word for name in ("local", "astar") for word in ("--router", name)]
+    assert status([*benchmark, *routers, "--json"]) == 0
+    told = capsys.readouterr()
+    assert told.err.count("lanes-v0: without references no score and no gap; docs/") == 1
+    for row in json.loads(told.out)["rows"]:
+        assert [row[key] for key in ("score", "gap", "at_reference")] == [None] * 3
+        assert row["wins"] + row["ties"] + row["losses"] == 3
+        assert row["open"] == 0
+    assert status([*benchmark, *routers]) == 0
+    assert re.search(r"astar +\? +0 +0 +\? +\? +0/3/0 ", capsys.readouterr().out)
     with importing_from(Path.cwd()):
-        list(solve_scenario(scenarios.load(lanes).name, Effort(seconds=5)))
+        list(solve_scenario(lanes, Effort(seconds=5)))
     scenarios._known.pop("lanes-v0")
     scenarios._imported.clear()
-    arguments = ["benchmark", "--scenario", lanes, "--router", "local", "--json", "jobs=1"]
-    assert status(arguments) == 0
-    assert Path("runs/benchmark/lanes-v0.local.json").exists()
+    assert status([*benchmark, "--router", "pathfinder", "--out", "later", "--json"]) == 0
+    told = capsys.readouterr()
+    assert "without references" not in told.err
+    assert json.loads(told.out)["rows"][0]["score"]["mean"] == 1
+    # A leaderboard scores all files by the best references that one of them knows.
+    Path("later/lanes-v0.pathfinder.json").rename("runs/benchmark/lanes-v0.pathfinder.json")
+    found = read_groups(Path("runs/benchmark"))["lanes-v0", "test"]
+    assert sorted(result.name for result in found) == ["astar", "local", "pathfinder"]
+    assert all(summarise(result)["score"] is not None for result in found)
     arguments = [
         "train", f"env.scenario={lanes}", "learner.kind=ippo", "train.steps=200", "train.games=2",
         "train.figures=false", "train.tensorboard=false", "out=run",
     ]  # fmt: skip
     assert status(arguments) == 0
+    assert "lanes-v0 test: cost" in capsys.readouterr().out.replace(lanes, "lanes-v0")
+    for file in (Path("lanes.json"), Path("run/result.json")):
+        file.unlink()
+    references_in.cache_clear()
+    assert status(["train", "--resume", "run", "--allow-code"]) == 0
+    assert "without references no score" in capsys.readouterr().out
     config = parse_yaml(Path("run/config.yaml").read_text(encoding="utf-8"), "config.yaml")
     assert config["env"]["scenario"] == lanes
     assert config["env"]["mask"]["visited"] is True

@@ -162,6 +162,11 @@ class Scenario:
             )
         return found
 
+    def has_references(self, split: Split) -> bool:
+        """Whether all problems of ``validation`` or ``test`` have a reference."""
+        known = references_in(self.references).references
+        return bool(known) and all(digest(of) in known for of in self.problems(split).values())
+
     def cost(self, wirelength: float, open_tasks: float, overflow: float = 0) -> float:
         """What routes cost: their wirelength, and :attr:`open_cost` for every open task.
 

@@ -208,6 +208,10 @@ def benchmark(
         engine=settings.engine,
         train={**settings.train, **bounds},
     )
+    for of in chosen:
+        if not scenarios.get(of).has_references(cast(Split, split)):
+            told = "without references no score and no gap; docs/scenarios.md says how to get them"
+            click.echo(f"{of}: {told}", err=True)
     with problems_bar("benchmark") as watch:
         files = run.execute(watch)["files"]
     summaries = [summarise(read_result(path)) for path in files]

@@ -86,6 +86,8 @@ def show_training(run: "Run", rows: Sequence[Mapping[str, Any]]) -> None:
             "gap: mean wirelength above the scenario's reference, over the problems without open "
             "tasks and with the reference's overflow (in brackets: their number)"
         )
+    elif config.env.scenario is not None:
+        notes.append(f"{config.env.scenario} has no references: no gap, see docs/scenarios.md")
     notes.append(f"all problems: {run.folder / RESULT}")
     click.echo("\n".join(map(_wrapped, notes)))
     if config.env.scenario is not None:

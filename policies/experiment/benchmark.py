@@ -256,9 +256,6 @@ class Benchmark(Experiment):
                 check("--scenario", fits and (len(names) == 1 or not entry.zero_shot), what)
             if own:
                 routers[entry.name] = {**entry.plain, "only": own if entry.only else None}
-        for scenario in self.scenarios.values():
-            for problem in scenario.problems(split).values():
-                _ = scenario.reference(problem)  # or an error, before hours of work
         super().__init__(
             ExperimentConfig(
                 out=os.fspath(folder),
@@ -288,16 +285,17 @@ class Benchmark(Experiment):
     def _tasks_of(self, name: str) -> tuple[Task, ...]:
         """The problems of a set with their A* and their reference."""
         if name not in self._tasks:
-            tasks = []
+            tasks, scenario = [], self.scenarios[name]
+            known = scenario.has_references(self.split)
             for of, problem in self.sets[name].items():
-                best = self.scenarios[name].reference(problem)
+                best = scenario.reference(problem) if known else None
                 found = evaluate(problem, sequential_astar(problem))
                 tasks.append(
                     Task(
                         problem=of,
                         astar=Figures.of(found),
-                        reference=(0, best.overflow, best.wirelength),
-                        proven=best.proven,
+                        reference=None if best is None else (0, best.overflow, best.wirelength),
+                        proven=best is not None and best.proven,
                         tasks=found.tasks if self._scale(name) else None,
                     )
                 )
@@ -378,8 +376,8 @@ class Benchmark(Experiment):
     def _curve(
         self, name: str, entry: Entry, tasks: Mapping[str, Task]
     ) -> tuple[tuple[int, float], ...]:
-        """The learning curve of what was trained here."""
-        if not entry.trains:
+        """The learning curve of what was trained here, as far as there are scores."""
+        if not entry.trains or any(task.reference is None for task in tasks.values()):
             return ()
         if entry.zero_shot is not None:
             runs = [p.run for p in self.parts if (p.set, p.entry.name) == (name, entry.name)]

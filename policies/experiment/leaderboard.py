@@ -66,13 +66,18 @@ def _aligned(found: Mapping[Path, Result]) -> list[Result]:
             known = tasks[task.problem]
             where = f"{file}: tasks: {task.problem}: astar"
             check(where, task.astar == known.astar, f"{list(known.astar)}, as in {first}")
-            if (task.reference, not task.proven) < (known.reference, not known.proven):
+            if _reference(task) < _reference(known):
                 tasks[task.problem] = task
         scale = found[first].scale
         what = f"that of {first}, found another"
         check(f"{file}: scale", result.scale == scale, what)
     aligned = [_rescored(result, tasks) for result in found.values()]
     return sorted(aligned, key=_rank)
+
+
+def _reference(task: Task) -> tuple[bool, tuple[int, int, int], bool]:
+    """By which references are compared, the best first; none is the last."""
+    return task.reference is None, task.reference or task.astar, not task.proven
 
 
 def _rescored(result: Result, tasks: Mapping[str, Task]) -> Result:
@@ -242,19 +247,16 @@ def cells_of(row: Mapping[str, Any]) -> list[str]:
     """
     overflow = f"{round(row['overflow'], 1):.10g}"
     seconds = "?" if row["solution_seconds"] is None else f"{row['solution_seconds']:.2g}"
-    if row["score"] is None:
-        return ["?", "?", overflow, "?", "?", "?", seconds]
-    score = row["score"]
-    few = f" ({row['gap_problems']})" if row["gap_problems"] < row["problems"] else ""
-    return [
-        f"{score['mean']:.3f} [{score['low']:.3f}, {score['high']:.3f}]",
-        f"{row['open']:.4g}",
-        overflow,
-        "" if row["gap"] is None else f"{row['gap']:.2f}{few}",
-        f"{row['at_reference']:.0f}",
-        "/".join(f"{row[of]:.3g}" for of in ("wins", "ties", "losses")),
-        seconds,
-    ]
+    score = gap = at_reference = opened = record = "?"
+    if row["score"] is not None:
+        few = f" ({row['gap_problems']})" if row["gap_problems"] < row["problems"] else ""
+        score = "{mean:.3f} [{low:.3f}, {high:.3f}]".format(**row["score"])
+        gap = "" if row["gap"] is None else f"{row['gap']:.2f}{few}"
+        at_reference = f"{row['at_reference']:.0f}"
+    if row["open"] is not None:
+        opened = f"{row['open']:.4g}"
+        record = "/".join(f"{row[of]:.3g}" for of in ("wins", "ties", "losses"))
+    return [score, opened, overflow, gap, at_reference, record, seconds]
 
 
 POLICY_COLUMNS = (

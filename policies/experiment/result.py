@@ -42,22 +42,26 @@ class Task:
     Attributes:
         problem: its name in the scenario.
         astar: open nets, overflow and wirelength of sequential A* as in the paper: score 0.
-        reference: those of the proven optimum or the best solution known: score 1.
+        reference: those of the proven optimum or the best solution known: score 1. None: the
+            scenario has no references.
         proven: whether the reference is proven to be optimal.
         tasks: two-pin tasks of the problem, in scenarios of policies.
     """
 
     problem: Name
     astar: tuple[Count, Count, Count]
-    reference: tuple[Count, Count, Count]
+    reference: tuple[Count, Count, Count] | None
     proven: bool
     tasks: Count | None = None
 
     def __post_init__(self) -> None:
-        check("reference", self.reference <= self.astar, "one at least as good as A*")
+        fits = self.reference is None or self.reference <= self.astar
+        check("reference", fits, "one at least as good as A*")
 
-    def score(self, found: Figures) -> float:
-        """The score of a solution of the problem."""
+    def score(self, found: Figures) -> float | None:
+        """The score of a solution of the problem; None without a reference."""
+        if self.reference is None:
+            return None
         return score(found, Figures(*self.astar), Figures(*self.reference))
 
 
@@ -73,8 +77,8 @@ class Outcome:
         wirelength: in edges.
         vias: None if not known.
         seconds: wall time, with the training if there was one for this problem; None if not known.
-        score: see :mod:`marouting.scenarios.score`; None where ``open`` is, and in scenarios of
-            policies, whose problems have one score together.
+        score: see :mod:`marouting.scenarios.score`; None where ``open`` or the reference is, and in
+            scenarios of policies, whose problems have one score together.
         open_tasks: two-pin tasks that are not joined, in scenarios of policies; None if not known.
     """
 
@@ -98,8 +102,8 @@ class Outcome:
         if task.tasks is not None:
             tasks = None if row["joined"] is None else row["tasks"] - row["joined"]
             return Outcome(**figures, open=opened, score=None, open_tasks=tasks)
-        score = None if found is None else round(task.score(found), 9)
-        return Outcome(**figures, open=opened, score=score)
+        score = None if found is None else task.score(found)
+        return Outcome(**figures, open=opened, score=None if score is None else round(score, 9))
 
     @property
     def figures(self) -> Figures | None:
@@ -191,15 +195,16 @@ class Result:
             fits = row.vias is None or row.vias <= row.wirelength
             check(f"{where}: vias", fits, "at most the wirelength")
             known = row.figures
+            right = None if known is None else self.by_name[row.problem].score(known)
             if self.scale is not None:
                 check(f"{where}: score", row.score is None, "null: all problems have one score")
                 most = self.by_name[row.problem].tasks
                 fits = row.open_tasks is None or most is None or row.open_tasks <= most
                 check(f"{where}: open_tasks", fits, "at most the tasks")
-            elif known is None:
-                check(f"{where}: score", row.score is None, "null, as the open nets are unknown")
+            elif right is None:
+                what = "null, as the open nets or the reference are unknown"
+                check(f"{where}: score", row.score is None, what)
             else:
-                right = self.by_name[row.problem].score(known)
                 fits = row.score is not None and abs(row.score - right) <= CLOSE
                 check(f"{where}: score", fits, f"{right:.6f}, found {row.score}")
         known_tasks = all(task.tasks is not None for task in self.tasks)
@@ -287,23 +292,30 @@ def summarise(result: Result) -> dict[str, Any]:
     if len(found) < len(rows):
         unknown = ("score", "open", "gap", "gap_problems", "at_reference", "wins", "ties", "losses")
         return {**summary, **dict.fromkeys(unknown)}
+    compared = {
+        "open": _whole(sum(figures.open > 0 for _, figures in found) / seeds),
+        "wins": _whole(sum(figures < task.astar for task, figures in found) / seeds),
+        "ties": _whole(sum(figures == task.astar for task, figures in found) / seeds),
+        "losses": _whole(sum(figures > task.astar for task, figures in found) / seeds),
+    }
+    best = {task.problem: task.reference for task in result.tasks if task.reference is not None}
+    if len(best) < len(tasks):
+        unknown = ("score", "gap", "gap_problems", "at_reference")
+        return {**summary, **dict.fromkeys(unknown), **compared}
     own: dict[str, list[float]] = {task.problem: [] for task in result.tasks}
     for row in rows:
         own[row.problem].append(row.score or 0.0)
     scores = np.array(list(own.values()), np.float64)
     low, high = bootstrap_interval(scores)
-    gaps = [(task.problem, gap(figures, task.reference)) for task, figures in found]
+    gaps = [(task.problem, gap(figures, best[task.problem])) for task, figures in found]
     known = [(problem, above) for problem, above in gaps if above is not None]
     return {
         **summary,
         "score": {"mean": interquartile_mean(scores.ravel()), "low": low, "high": high},
-        "open": _whole(sum(figures.open > 0 for _, figures in found) / seeds),
         "gap": statistics.fmean(above for _, above in known) if known else None,
         "gap_problems": len({problem for problem, _ in known}),
-        "at_reference": 100 * sum(figures <= task.reference for task, figures in found) / len(rows),
-        "wins": _whole(sum(figures < task.astar for task, figures in found) / seeds),
-        "ties": _whole(sum(figures == task.astar for task, figures in found) / seeds),
-        "losses": _whole(sum(figures > task.astar for task, figures in found) / seeds),
+        "at_reference": 100 * sum(f <= best[task.problem] for task, f in found) / len(rows),
+        **compared,
     }
 
 

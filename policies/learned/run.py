@@ -181,8 +181,11 @@ class Run:
         kept = load_problems(str(self.folder / "problems")) if resume else None
         self.problems, episodes = problems_of(config, kept)
         if config.train.reference is None and config.env.scenario is not None:
-            best = get(config.env.scenario).reference
-            self.reference = {name: best(problem)[:2] for name, problem in self.problems.items()}
+            scenario, split = get(config.env.scenario), config.env.split
+            if scenario.has_references("validation" if split == "train" else split):
+                self.reference = {
+                    name: scenario.reference(problem)[:2] for name, problem in self.problems.items()
+                }
         for name in self.problems:
             fits = is_file_name(name, f".{config.learner.name}_policy.solution")
             check(f"problem {name[:80]!r}", fits, FILE_NAME)
