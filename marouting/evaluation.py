@@ -39,7 +39,8 @@ class ProblemResult:
         problem: the name of the problem.
         joined: two-pin tasks that it connected.
         tasks: two-pin tasks of the problem.
-        open: nets that are not connected.
+        open: nets that are not connected, each counted once; ``open`` in the environments' infos
+            counts two-pin tasks instead, here ``tasks`` − ``joined``.
         overflow: in tracks.
         wirelength: in edges, a via counts 1.
         cost: the wirelength, and :attr:`marouting.scenarios.Scenario.open_cost` for every task that

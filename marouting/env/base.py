@@ -229,7 +229,10 @@ class GameEnv(EzPickle):
         return {"task_ended": ending, "task_obs": seen, "task_mask": mask}
 
     def _result(self) -> dict[str, Any]:
-        """What infos hold when the game is over: the metrics, also where loggers look for them."""
+        """What infos hold when the game is over: the metrics, also where loggers look for them.
+
+        ``open`` is the number of two-pin tasks that are not joined.
+        """
         metrics = self.game.metrics()
         return {
             "metrics": metrics,

@@ -79,7 +79,7 @@ class Row:
         rule, radius, price, seen: the rule; the radius is None for the whole grid.
         problems: number of problems.
         solved: how many have no open task.
-        open: open tasks.
+        open: open two-pin tasks, not nets.
         wirelength: of all routes.
         reference: wirelength of the references.
         cost: see the module.

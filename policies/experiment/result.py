@@ -72,7 +72,7 @@ class Outcome:
     Attributes:
         problem: its name.
         seed: None for a router that draws no random numbers.
-        open: nets that are not joined; None if not known.
+        open: nets that are not joined, not their two-pin tasks; None if not known.
         overflow: in tracks.
         wirelength: in edges.
         vias: None if not known.

@@ -215,7 +215,7 @@ def summarise(rows: Sequence[Row], reference: str | None = None) -> list[dict[st
 
         ``router``, ``kind``, and the numbers of ``problems`` and ``seeds``;
         ``overflow``, the total in tracks; ``zero_overflow``, the number of problems without
-        overflow and without open tasks; ``open``, the total of open tasks;
+        overflow and without open tasks; ``open``, the total of open two-pin tasks, not nets;
         ``wirelength``: ``mean``, ``low`` and ``high`` (95 % by Student's t over the problems);
         ``pruned_wirelength``: the same without dangling branches and loops, None if a row lacks it;
         ``gap``: the same for the gap to the optimum in %, and ``problems``, on how many it is
