@@ -342,6 +342,9 @@ def test_a_summary_worked_out_by_hand(tmp_path: Path) -> None:
     assert five["score"]["mean"] == pytest.approx(0.85)  # the middle three
     path = made().write(tmp_path)
     assert read_result(path) == made()
+    bare = replace(made().tasks[0], reference=None, proven=False)
+    with pytest.raises(InputError, match=r"^tasks: expected the reference of each"):
+        made(tasks=(bare,))
     for damage in ({"scale": None}, {"policy": None}):
         with pytest.raises(InputError, match=r"policy: expected one with a scale|score: expected"):
             made(**damage)

@@ -207,8 +207,11 @@ class Result:
             else:
                 fits = row.score is not None and abs(row.score - right) <= CLOSE
                 check(f"{where}: score", fits, f"{right:.6f}, found {row.score}")
-        known_tasks = all(task.tasks is not None for task in self.tasks)
-        check("tasks", self.scale is None or known_tasks, "the number of two-pin tasks of each")
+        if self.scale is not None:
+            known_tasks = all(task.tasks is not None for task in self.tasks)
+            check("tasks", known_tasks, "the number of two-pin tasks of each")
+            known_best = all(task.reference is not None for task in self.tasks)
+            check("tasks", known_best, "the reference of each")
         check("policy", (self.policy is None) == (self.scale is None), "one with a scale")
         whole = len(seeds) == len(self.tasks) and len(set(seeds.values())) == 1
         check("outcomes", whole, "every problem with the same number of seeds")
@@ -217,6 +220,11 @@ class Result:
     def by_name(self) -> Mapping[str, Task]:
         """The tasks by the problem's name."""
         return {task.problem: task for task in self.tasks}
+
+    @property
+    def references(self) -> dict[str, tuple[int, int, int]]:
+        """The references that there are, by the problem's name."""
+        return {task.problem: task.reference for task in self.tasks if task.reference is not None}
 
     @property
     def file_name(self) -> str:
@@ -288,20 +296,19 @@ def summarise(result: Result) -> dict[str, Any]:
     }
     if result.scale is not None:
         return {**summary, **policy_figures(result)}
+    scored = ("score", "gap", "gap_problems", "at_reference")
     found = [(tasks[row.problem], row.figures) for row in rows if row.figures is not None]
     if len(found) < len(rows):
-        unknown = ("score", "open", "gap", "gap_problems", "at_reference", "wins", "ties", "losses")
-        return {**summary, **dict.fromkeys(unknown)}
+        return {**summary, **dict.fromkeys((*scored, "open", "wins", "ties", "losses"))}
     compared = {
         "open": _whole(sum(figures.open > 0 for _, figures in found) / seeds),
         "wins": _whole(sum(figures < task.astar for task, figures in found) / seeds),
         "ties": _whole(sum(figures == task.astar for task, figures in found) / seeds),
         "losses": _whole(sum(figures > task.astar for task, figures in found) / seeds),
     }
-    best = {task.problem: task.reference for task in result.tasks if task.reference is not None}
+    best = result.references
     if len(best) < len(tasks):
-        unknown = ("score", "gap", "gap_problems", "at_reference")
-        return {**summary, **dict.fromkeys(unknown), **compared}
+        return {**summary, **dict.fromkeys(scored), **compared}
     own: dict[str, list[float]] = {task.problem: [] for task in result.tasks}
     for row in rows:
         own[row.problem].append(row.score or 0.0)
@@ -340,7 +347,8 @@ def policy_figures(result: Result) -> dict[str, Any]:
     if any(row.open_tasks is None for row in result.outcomes):
         unknown = ("score", "costs", "cost", "solved", "connected", "gap")
         return {**dict.fromkeys(unknown), **told}
-    best = sum(task.reference[2] for task in result.tasks)
+    references = result.references
+    best = sum(wirelength for _, _, wirelength in references.values())
     tasks = sum(task.tasks or 0 for task in result.tasks)
     costs, solved, connected, gaps = [], [], [], []
     for rows in by_seed.values():
@@ -350,7 +358,7 @@ def policy_figures(result: Result) -> dict[str, Any]:
         solved.append(len(done) / len(rows))
         connected.append(1 - sum(row.open_tasks or 0 for row in rows) / tasks)
         for row in done:
-            least = max(result.by_name[row.problem].reference[2], 1)
+            least = max(references[row.problem][2], 1)
             gaps.append(100 * (row.wirelength / least - 1))
     scores = [scale.score(cost) for cost in costs]
     # As of one problem: the cost is that of all problems together.

@@ -68,7 +68,7 @@ class _Steps(Callback):
         super().__init__()
         self.scenario, self.most, self.every = scenario, most, every
         self.steps = 0
-        self.curve: list[tuple[int, float]] = []
+        self.curve: list[tuple[int, float | None]] = []
 
     def on_batch_collected(self, batch: Any) -> None:
         """Counts the moves that nets made, and has ε fall by them: BenchMARL counts frames."""
@@ -82,7 +82,8 @@ class _Steps(Callback):
         del training_td, group
         if self.steps >= self.every * (len(self.curve) + 1) or self.steps >= self.most:
             result = evaluate_policy(Moves(self.experiment).moves, self.scenario, "validation")
-            self.curve.append((self.steps, round(result.cost, 4)))
+            cost = None if result.cost is None else round(result.cost, 4)
+            self.curve.append((self.steps, cost))
             click.echo(f"{self.steps} agent-steps: {result}", err=True)
         if self.steps >= self.most:
             self.file.parent.mkdir(exist_ok=True)
