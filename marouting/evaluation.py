@@ -16,7 +16,7 @@ from marouting.batch.engine import Engine
 from marouting.batch.locality import check_local
 from marouting.config import check, plain
 from marouting.errors import InputError
-from marouting.options import game_options
+from marouting.options import ORDERS, game_options
 from marouting.problem.solution import evaluate
 from marouting.rules import Rules
 from marouting.scenarios import Reference, Scenario, Split, get
@@ -173,11 +173,12 @@ def play_split(
     check("policy", callable(policy), f"a function of observations and masks, found {policy!r}")
     given: dict[str, Any] = {**options, "scenario": scenario, "split": split}
     _ = get(scenario).problems(split)  # or an error
-    given.pop("agents", None)  # the turn order decides who has a row
+    agents = given.pop("agents", "multi")
+    check("agents", agents in ORDERS, f"{' or '.join(ORDERS)}, found {agents!r}")
     game = game_options(given)
     if get(scenario).has_local_rule(split):
         check_rules(game, scenario)
-    sequential = game.turn_order == "sequential"
+    sequential = (game.turn_order or ORDERS[agents]) == "sequential"
     env = BatchEnv(everyone=not sequential, play_once=True, threads=threads, **given)
     if local is not False:
         some = env.engine.part(slice(_CHECKED))

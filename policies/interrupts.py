@@ -11,7 +11,9 @@ import. An :class:`Interrupt` that is forgotten before it has ended the work is 
 """
 
 import contextlib
+import os
 import signal
+import stat
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -134,6 +136,8 @@ def holding(*numbers: int, tell: Callable[[], object] = bool) -> Iterator[Held]:
             interrupt(signal.SIGINT, frame)
         else:
             held.numbers.append(number)
+            if number == getattr(signal, "SIGHUP", None):
+                _leave_terminal()
             tell()
 
     ours = threading.current_thread() is threading.main_thread()  # signals are not for others
@@ -146,6 +150,16 @@ def holding(*numbers: int, tell: Callable[[], object] = bool) -> Iterator[Held]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _leave_terminal() -> None:
+    """Writes nowhere in place of to a terminal, which is gone: writing to it would be an error."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for out in (1, 2):
+        with contextlib.suppress(OSError):  # it is closed
+            if stat.S_ISCHR(os.fstat(out).st_mode):
+                os.dup2(nowhere, out)
+    os.close(nowhere)
 
 
 def _later(number: int) -> None:

@@ -205,6 +205,13 @@ def test_a_signal_ends_a_route_with_the_best_so_far(
         ("convert p.gr s --solution s", "s: expected another file: this one is read"),
         ("evaluate p.gr s --map p.gr", "p.gr: expected another file: this one is read"),
         ("evaluate p.gr s --control keep=k --map k", "k: expected another file: this one is read"),
+        ("route p.gr --config k --out k", "k: expected another file: this one is read"),
+        (
+            "route p.gr --router dqn --checkpoint k --out k",
+            "k: expected another file: this one is read",
+        ),
+        ("view p.gr s --out s", "s: expected another file: this one is read"),
+        ("view p.gr s --out p.gr", "p.gr: expected another file: this one is read"),
         ("route p.gr --out s.segs", "s.segs: expected another suffix: .segs is not written"),
         ("convert p.gr p.def", "p.def: expected another suffix: .def is not written"),
         ("convert p.gr p.CAP.gz", "p.CAP.gz: expected another suffix: .cap is not written"),

@@ -105,6 +105,25 @@ def test_what_policies_may_choose_in_the_game_of_a_scenario() -> None:
     assert found.score == evaluate_policy(first, "gates-8x7-v0", "validation").score
 
 
+def test_agents_decide_the_turn_order() -> None:
+    rows = []
+
+    def policy(obs: NDArray[np.float32], masks: NDArray[np.int8]) -> NDArray[np.int64]:
+        rows.append(len(obs))
+        return first(obs, masks)
+
+    toy: Any = ("toy-4x4-v0", "validation")
+    games = len(scenarios.get(toy[0]).validation)
+    alone = evaluate_policy(policy, *toy, agents="single")
+    assert max(rows) == games
+    assert alone == evaluate_policy(first, *toy, turn_order="sequential")
+    rows.clear()
+    assert evaluate_policy(policy, *toy, agents="multi") == evaluate_policy(first, *toy)
+    assert max(rows) > games
+    with pytest.raises(InputError, match="agents: expected single or multi, found 'many'"):
+        evaluate_policy(first, *toy, agents="many")
+
+
 class Liar(WindowObservation):
     """Says that it shows nothing but where an agent is."""
 

@@ -174,6 +174,9 @@ def test_boxes_beyond_the_chip_count_as_far_as_they_lie_on_it(
     wide.write_text(f"{PROBLEM.nets[0].name}\n(\n{right} 0 {right + 700} 700 Metal2\n)\n")
     with pytest.raises(InputError, match=r"wide.guide:3: expected a box on the chip, from"):
         Solution.read(wide, PROBLEM)
+    checked = check_guide(read_record(wide, PROBLEM), PROBLEM)
+    assert checked is not None
+    assert (checked.boxes, checked.off_grid, checked.split_nets) == (1, 1, 0)
 
 
 def test_a_guide_without_boxes_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,5 +1,6 @@
 """Ctrl-C: at once, but not while LLVM is at work."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from llvmlite import binding, ir
 from numba.core.types import abstract
 
 import marouting
+from marouting import Problem, Solution
 from policies.interrupts import AGAIN, interruptible
 
 
@@ -233,3 +235,26 @@ def test_who_answers_otherwise_still_does() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     run(lambda: signal.raise_signal(signal.SIGINT))
     assert events == [signal.SIGINT]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
+def test_a_terminal_that_closes_leaves_the_best_route(tmp_path: Path) -> None:
+    import pty
+
+    marouting.generate(1, grid=(32, 32, 2), nets=700, seed=0)[0].write(tmp_path / "p.gr")
+    command = [
+        sys.executable, "-m", "marouting", "route", "p.gr", "--router", "pathfinder",
+        "seconds=300", "least_gain=0", "--out", "best",
+    ]  # fmt: skip
+    child, terminal = pty.fork()
+    if child == 0:
+        os.chdir(tmp_path)
+        os.execv(command[0], command)
+    shown = b""
+    while b"pass " not in shown:
+        shown += os.read(terminal, 2**16)
+    os.close(terminal)
+    _, status = os.waitpid(child, 0)
+    assert os.waitstatus_to_exitcode(status) == 128 + signal.SIGHUP
+    assert Solution.read(tmp_path / "best", Problem.read(tmp_path / "p.gr"))

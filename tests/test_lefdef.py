@@ -335,6 +335,14 @@ def test_further_ports_of_a_pin_in_older_files(tmp_path: Path) -> None:
         first, places = problem.chip.places.first, problem.chip.places.gcell
         # The pin's own port is in column 2, row 0, and the other one in column 1, row 1.
         assert set(places[first[0] : first[1]].tolist()) == {2 * 6 + 1, 1 * 6 + 1 * 2 + 1}
+    swapped = text.replace("- in.extra1 +", "- x +").replace("- in +", "- in.extra1 +")
+    assert Problem.read(design(tmp_path, swapped.replace("- x +", "- in +"))) == problem
+    for change, what in (
+        (("- in.extra1 + NET n1", "- in.extra1 + NET n2"), "expected the net of in, found n2"),
+        (("- in.extra1", "- in"), "pin in: expected a name no earlier pin has"),
+    ):
+        with pytest.raises(InputError, match=what):
+            Problem.read(design(tmp_path, text.replace(*change)))
 
 
 def test_a_design_with_the_name_of_a_macro(tmp_path: Path) -> None:

@@ -1003,6 +1003,14 @@ def test_references_of_a_scenario_in_a_module(lanes: str) -> None:
     assert len(read_references(Path("lanes.json")).references) == 5
     assert ran.stderr.count("\n") == 5
     assert scenarios.load(lanes).reference(scenarios.get("lanes-v0").test[0]).proven
+    assert scenarios.get("lanes-v0").has_references("test")
+    whole = json.loads(Path("lanes.json").read_text(encoding="utf-8"))
+    del whole["references"][digest(scenarios.get("lanes-v0").test[1])]
+    Path("lanes.json").write_text(json.dumps(whole), encoding="utf-8")
+    references_in.cache_clear()
+    what = "lanes-v0: references: expected those of all problems, or none, found none of 1 of test"
+    with pytest.raises(InputError, match=what):
+        scenarios.get("lanes-v0").has_references("test")
 
 
 def test_scenarios_of_modules_in_python(lanes: str) -> None:

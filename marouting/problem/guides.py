@@ -73,9 +73,9 @@ def check_guide(record: Record, problem: Problem) -> GuideCheck | None:
     chip = problem.chip_or_default
     if isinstance(record, ispd.SolutionRecord) or not len(record.boxes):
         return None
-    net, layer = record.net, record.boxes[:, 4]
-    box = chip.on_chip(record.boxes[:, :4])
-    lines = (chip.x, chip.y)
+    box, lines = chip.on_chip(record.boxes[:, :4]), (chip.x, chip.y)
+    there = (box[:, :2] < box[:, 2:]).all(axis=1)
+    net, box, layer = record.net[there], box[there], record.boxes[there, 4]
     on_grid = np.all([is_among(box[:, i], lines[i % 2]) for i in range(4)], axis=0)
     first, last = [], []
     for axis, line in enumerate(lines):
@@ -93,8 +93,8 @@ def check_guide(record: Record, problem: Problem) -> GuideCheck | None:
     parts = distinct(joined_parts(near, far, len(covered)))
     parts_of_net = np.bincount(covered[parts] // size, minlength=len(problem.nets))
     return GuideCheck(
-        boxes=len(box),
-        off_grid=int(np.count_nonzero(~on_grid)),
+        boxes=len(record.boxes),
+        off_grid=len(record.boxes) - int(np.count_nonzero(on_grid)),
         open_pins=_open_pins(problem, covered),
         split_nets=int(np.count_nonzero(parts_of_net > 1)),
     )

@@ -301,7 +301,9 @@ class Solution:
             format: one of these; None: as the file's suffix says.
 
         Raises:
-            InputError: the format cannot hold the routes, or the file cannot be written.
+            InputError: the format cannot hold the routes, the suffix is that of a format that is
+                only read (``.def``, ``.lef``, ``.cap``, ``.net``, ``.segs``), or the file cannot
+                be written.
         """
         if self.problem.kept is not None:
             self.whole.write(path, format)

@@ -163,9 +163,16 @@ class Scenario:
         return found
 
     def has_references(self, split: Split) -> bool:
-        """Whether all problems of ``validation`` or ``test`` have a reference."""
+        """Whether the problems of ``validation`` or ``test`` have references.
+
+        Raises:
+            InputError: some have one, but not all.
+        """
         known = references_in(self.references).references
-        return bool(known) and all(digest(of) in known for of in self.problems(split).values())
+        lacks = [name for name, of in self.problems(split).items() if digest(of) not in known]
+        what = f"those of all problems, or none, found none of {len(lacks)} of {split}"
+        check(f"{self.name}: references", not known or not lacks, what)
+        return bool(known)
 
     def cost(self, wirelength: float, open_tasks: float, overflow: float = 0) -> float:
         """What routes cost: their wirelength, and :attr:`open_cost` for every open task.

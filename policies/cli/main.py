@@ -254,7 +254,7 @@ def route(
         raise InputError("--checkpoint: expected no configuration with it: nothing is trained")
     if out is not None:
         check_suffix(out)
-        check_apart(out, *problem.files)
+        check_apart(out, *problem.files, *(file for file in (checkpoint, config) if file))
     loaded = problem.read()
     if out is not None:
         check_writable(out)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, get_args
 import click
 
 from marouting import InputError, Problem, ProblemFile, Solution, evaluate, sequential_astar
-from marouting.files import check_writable, is_dir, stem_of, suffix_of, write_text
+from marouting.files import check_apart, check_writable, is_dir, stem_of, suffix_of, write_text
 from marouting.rules import TurnOrder
 from policies.cli.options import FILE, WHOLE, allow_code_option, json_option, tell
 from policies.cli.source import problem_argument
@@ -78,6 +78,7 @@ def view(
         raise InputError("--checkpoint: expected an animation, --out FILE.svg or FILE.gif")
     if checkpoint is not None and turn_order is not None:
         raise InputError("--turn-order: expected none with --checkpoint: the policy has its own")
+    check_apart(out, *problem.files, *solutions, *([checkpoint] if checkpoint else []))
     loaded = problem.read()
     check_writable(out)
     found = {} if checkpoint else _solutions(problem, loaded, solutions)

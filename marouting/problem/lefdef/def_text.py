@@ -66,6 +66,7 @@ class Design:
         vias: the names of its vias.
         components: by name.
         pins: for each pin of the design itself what it lacks, empty if nothing.
+        ports: by pin the names and nets of its statements in PINS, which may be several.
         pin_vias: vias that are shapes of these pins.
         nets: their names.
         first: (nets + 1,) the connections of net i are ``first[i]`` to ``first[i + 1]``.
@@ -85,6 +86,7 @@ class Design:
     vias: set[str] = field(default_factory=set)
     components: dict[str, Component] = field(default_factory=dict)
     pins: dict[str, str] = field(default_factory=dict)
+    ports: dict[str, dict[str, str]] = field(default_factory=dict)
     pin_vias: list[PinVia] = field(default_factory=list)
     nets: list[str] = field(default_factory=list)
     first: "array[int]" = field(default_factory=lambda: array("q", [0]))
@@ -329,6 +331,12 @@ def _pin_name(name: str) -> str:
     return re.sub(r"\.extra[0-9]*$", "", name.replace("\\", ""))
 
 
+def _net_of_pin(rest: list[str]) -> str:
+    """The net of a pin of the design; empty without one."""
+    nets = (clause[1] for clause in _clauses(rest) if clause[0].upper() == "NET" and clause[1:])
+    return next(nets, "")
+
+
 def _pin(rest: list[str], design: Design, library: Library) -> list[str]:
     """Adds a pin to the design; returns what klayout has to know of it, nothing without shapes.
 
@@ -357,9 +365,13 @@ def _pin(rest: list[str], design: Design, library: Library) -> list[str]:
             copied += ["+", "PORT"] * (len(ports) > 1)
             copied += [word for clause in (*shapes, place) for word in ("+", *clause)]
         design.pin_vias += _vias_of_pin(name, vias, place, design, library)
-    plain = _pin_name(name)
-    if plain in design.pins and plain == name.replace("\\", ""):
+    plain, net = _pin_name(name), _net_of_pin(rest)
+    ports_of = design.ports.setdefault(plain, {})
+    if name in ports_of:
         raise InputError(f"pin {name}: expected a name no earlier pin has")
+    if ports_of and net not in ports_of.values():
+        raise InputError(f"pin {name}: expected the net of {next(iter(ports_of))}, found {net}")
+    ports_of[name] = net
     lacks = "" if usable else _NO_SHAPE if placed and not shaped else _NO_PLACE
     design.pins[plain] = lacks and design.pins.get(plain, lacks)
     return [name, "+", "NET", name, *copied] if copied else []
