@@ -173,9 +173,8 @@ def play_split(
     check("policy", callable(policy), f"a function of observations and masks, found {policy!r}")
     given: dict[str, Any] = {**options, "scenario": scenario, "split": split}
     _ = get(scenario).problems(split)  # or an error
-    agents = given.pop("agents", "multi")
-    check("agents", agents in ORDERS, f"{' or '.join(ORDERS)}, found {agents!r}")
     game = game_options(given)
+    agents = given.pop("agents", "multi")
     if get(scenario).has_local_rule(split):
         check_rules(game, scenario)
     sequential = (game.turn_order or ORDERS[agents]) == "sequential"

@@ -149,7 +149,9 @@ def game_options(options: Mapping[str, Any], agents: Agents | None = None) -> Ga
             what = f"got an unexpected keyword argument {name!r}"
             raise UnknownOption(f"{unknown_key(name, known)} ({what})")
     found = options.get("agents", agents)
-    check("agents", agents in (None, found), f"{agents} in this interface, found {found!r}")
+    fits = found in (None, *ORDERS) and agents in (None, found)
+    what = " or ".join(ORDERS) if agents is None else f"{agents} in this interface"
+    check("agents", fits, f"{what}, found {found!r}")
     plain = with_suggestions(options)
     plain.pop("agents", None)
     for name in ("observation", "reward"):

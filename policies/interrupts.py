@@ -153,7 +153,7 @@ def holding(*numbers: int, tell: Callable[[], object] = bool) -> Iterator[Held]:
 
 
 def _leave_terminal() -> None:
-    """Writes nowhere in place of to a terminal, which is gone: writing to it would be an error."""
+    """Discards further output if it goes to a terminal: that is gone, and writing would fail."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     for out in (1, 2):
         with contextlib.suppress(OSError):  # it is closed

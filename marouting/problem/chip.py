@@ -57,7 +57,11 @@ class Chip:
     clock: NDArray[np.bool_] | None = None  # (nets,) whether the files call a net a clock; None: no
 
     def on_chip(self, box: NDArray[np.int64]) -> NDArray[np.int64]:
-        """(n, 4) the part on the chip of each box, whose low sides come first; empty if none is."""
+        """(n, 4) int64, the parts of boxes that lie on the chip; empty boxes where none does.
+
+        Args:
+            box: (n, 4) int64, left, lower, right and upper sides in chip coordinates.
+        """
         low, high = (np.array([self.x[end], self.y[end]] * 2) for end in (0, -1))
         return box.clip(low, high)
 

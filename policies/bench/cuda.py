@@ -299,7 +299,7 @@ def learning(learner: str, games: int, seconds: float, steps: int) -> Iterator[d
         Where the training is after 2, 4, 8, … rollouts; at last its result.
     """
     torch.set_float32_matmul_precision("high")
-    options = {k: v for k, v in marouting.scenarios.get(SCENARIO).env.items() if k != "agents"}
+    options = marouting.scenarios.get(SCENARIO).env
     begin = time.perf_counter()
     env = BatchEnv(games, scenario=SCENARIO, device="cuda", pool=4096, **options)
     kind = {"ippo": ppo.IPPOOptions, "mappo": ppo.MAPPOOptions}[learner]

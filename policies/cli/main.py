@@ -164,8 +164,8 @@ def convert(
     text, whose header tells the format. Solutions are ISPD text (ispd2008), a routing guide
     (.guide; --format patched-guide gives more room around pins and at crowded places) or ISPD
     2024's output (.PR_output); OpenROAD's route segments are read as well. Any of
-    them may be compressed (.gz). Routes that a format cannot hold are an error. What ISPD text
-    lacks of a chip's files is told.
+    them may be compressed (.gz). Routes that a format cannot hold are an error. A note on
+    standard error says what ISPD text cannot hold of a chip's files.
     """
     known: Sequence[str] = FORMATS if solution is None else ROUTE_FORMATS
     if format is not None and format not in known:
@@ -399,8 +399,9 @@ def evaluate_command(
     started = time.perf_counter()
     evaluate(routes.problem, routes)
     seconds = time.perf_counter() - started
-    checked = check_guide(record, loaded) if suffix_of(solution) == ".guide" else None
-    if suffix_of(solution) == ".guide" and checked is None:
+    is_guide = suffix_of(solution) == ".guide"
+    checked = check_guide(record, loaded) if is_guide else None
+    if is_guide and checked is None:
         click.echo(f"{solution}: no boxes, so it is not checked as a guide", err=True)
     of_guide = {} if checked is None else {f"guide_{k}": v for k, v in asdict(checked).items()}
     _report(None, routes, seconds, as_json, of_guide)
