@@ -25,6 +25,7 @@ import os
 import re
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from pathlib import Path
 from types import NoneType, UnionType
@@ -47,7 +48,7 @@ import yaml
 
 from marouting.errors import InputError
 from marouting.files import exists, is_file, read_text
-from marouting.registry import KINDS, code_allowed, lookup, name_of, names
+from marouting.registry import KINDS, allowing_code, code_allowed, lookup, name_of, names
 
 MOST = 2**31 - 1
 """The largest count; compiled code and arrays do not support integers of arbitrary size."""
@@ -233,6 +234,11 @@ def code_named(data: Any, above: Keys = ()) -> Iterator[tuple[Keys, str]]:
                 yield keys, value
         else:
             yield from code_named(value, keys)
+
+
+def allowing_code_of(data: Any) -> AbstractContextManager[None]:
+    """Within the block, files may also name the classes that the data names."""
+    return allowing_code(name for _, name in code_named(data))
 
 
 def check_code(data: Any, file: str, lines: Mapping[Keys, int] | None = None) -> None:

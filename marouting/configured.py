@@ -5,12 +5,11 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
-from marouting.config import build, read_yaml, unknown_key
+from marouting.config import read_yaml, unknown_key
 from marouting.env.single import GlobalRoutingSingle
 from marouting.errors import InputError
 from marouting.options import EnvOptions, with_suggestions
 from marouting.registry import allowing_code
-from marouting.source import checked_source
 
 KEYS = ("seed", "out", "env", "learner", "train")
 """The keys of a configuration; all but ``env`` belong to :mod:`policies.learned.config`."""
@@ -48,28 +47,20 @@ def make(
         where = os.fspath(config)
         with allowing_code(allow_code):
             config = read_yaml(config)
-    options: EnvOptions
     if isinstance(config, Mapping):
         for key in config:
             if key not in KEYS:
                 raise InputError(f"{where}: {unknown_key(str(key), KEYS)}")
-        part = config.get("env", {})
-        part = {} if part is None else part
+        part = {} if config.get("env") is None else config["env"]
         if not isinstance(part, Mapping):
             raise InputError(f"{where}: env: expected a mapping, found {part!r}")
-        part = with_suggestions(part)
-        problem = part.pop("problem", None)  # may be an object, which options do not hold
-        options = build(EnvOptions, part, f"{where}: env")
-        try:
-            problem = None if problem is None else checked_source(problem)
-        except InputError as error:
-            raise InputError(f"{where}: env: {error}") from None
     else:
         options = getattr(config, "env", config)
         if not isinstance(options, EnvOptions):
             raise InputError(f"config: expected a path, a mapping or a Config, found {config!r}")
-        problem = options.problem
-    plain = {field.name: getattr(options, field.name) for field in fields(options)}
-    plain["problem"] = problem
-    agents = plain.pop("agents")
-    return env(**plain) if agents == "multi" else GlobalRoutingSingle(**plain)
+        part = {field.name: getattr(options, field.name) for field in fields(options)}
+    part = {"agents": "single", **with_suggestions(part)}
+    try:
+        return env(**part) if part["agents"] == "multi" else GlobalRoutingSingle(**part)
+    except InputError as error:
+        raise InputError(f"{where}: env: {error}") from None

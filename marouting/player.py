@@ -659,17 +659,6 @@ def _look(
 
 
 @inlined
-def _look_at_player(
-    static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int
-) -> None:
-    """Writes what the agent whose turn it is sees."""
-    player = i64(dynamic.games[m].agent)
-    b.agents[m, 0] = player
-    b.active[m, 0] = player != NOBODY
-    _look(static, dynamic, fast, m, player, b.obs, b.mask, i64(0))
-
-
-@inlined
 def _make_moves(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
     """The moves of a step of one problem, before anybody settles."""
     if fast.shares is not None:
@@ -750,41 +739,6 @@ def _step_everyone(
                 _show(static, dynamic, b, fast, m, n)
     b.total[m] = total
     _finish(b, m, playing, game)
-
-
-@inlined
-def _step_player(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
-    """A step of one problem in which only the agent whose turn it is has a row."""
-    game = dynamic.games[m]
-    playing = game.active > 0
-    mover, row = i64(game.agent), i64(0)
-    _make_moves(static, dynamic, b, fast, m)
-    if mover == NOBODY:
-        b.acted[m, 0] = False
-        b.reward[m, 0] = 0
-        b.ending[m, 0] = Ending.NONE
-    else:
-        n = as_index(mover)
-        b.total[m] += _take_stock(dynamic, b, fast, m, n, row)
-        passes = game.active > 1 and not static.sequential
-        if b.ending[m, 0] != Ending.NONE or (b.acted[m, 0] and passes):
-            _look(static, dynamic, fast, m, n, b.final_obs, b.final_mask, row)
-        settle_agent(static, dynamic, m, n)
-        pass_turn(static, dynamic, m)
-        status = dynamic.agents[m, n].status
-        b.terminated[m, 0] = status == Status.TERMINATED
-        b.truncated[m, 0] = status == Status.TRUNCATED
-    _look_at_player(static, dynamic, b, fast, m)
-    _finish(b, m, playing, game)
-
-
-@inlined
-def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
-    """A step of one problem, with the paper's observation and a built-in reward."""
-    if fast.everyone:
-        _step_everyone(static, dynamic, b, fast, m)
-    else:
-        _step_player(static, dynamic, b, fast, m)
 
 
 # --- any observation ------------------------------------------------------------------------------
@@ -881,6 +835,27 @@ def _settle_and_show(
             write_mask(static, dynamic, b.mask, m, i64(b.agents[m, row]), i64(row))
 
 
+@inlined
+def _step_player(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
+    """A step of one problem in which only the agent whose turn it is has a row."""
+    mover = i64(dynamic.games[m].agent)
+    move_game(static, dynamic, b, fast, m)
+    passes = dynamic.games[m].active > 1 and not static.sequential
+    if b.ending[m, 0] != Ending.NONE or (b.acted[m, 0] and passes):
+        _look(static, dynamic, fast, m, mover, b.final_obs, b.final_mask, i64(0))
+    settle_game(static, dynamic, b, fast, m, mover, i64(ALL))
+    _look(static, dynamic, fast, m, i64(b.agents[m, 0]), b.obs, b.mask, i64(0))
+
+
+@inlined
+def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
+    """A step of one problem, with the paper's observation and a built-in reward."""
+    if fast.everyone:
+        _step_everyone(static, dynamic, b, fast, m)
+    else:
+        _step_player(static, dynamic, b, fast, m)
+
+
 # --- the paper's pieces ---------------------------------------------------------------------------
 
 # Two kernels, because one for both would take half as long again to compile.
@@ -912,6 +887,7 @@ def _play_player(
         if restarts and b.over[m]:
             clear_problem(static, dynamic, m, i64(0), i64(1))
             start_game(static, dynamic, b, m)
-            _look_at_player(static, dynamic, b, fast, m)
+            settle_game(static, dynamic, b, fast, m, i64(NOBODY), i64(NOT))
+            _look(static, dynamic, fast, m, i64(b.agents[m, 0]), b.obs, b.mask, i64(0))
         elif steps:
             _step_player(static, dynamic, b, fast, m)

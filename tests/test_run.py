@@ -1037,8 +1037,6 @@ def test_more_episodes_are_those_of_a_longer_run(options: dict[str, Any], tmp_pa
     whole, folder = tmp_path / "whole", tmp_path / "parts"
     config = config_in(whole, 9, **options)
     Run(config).execute()
-    schedules = config.learner.cls.schedules(config.learner.options)
-    assert schedules == ()
     Run(config_in(folder, 3, **options)).execute()
     first = metrics(folder)
     run = Run(config_in(folder, 6, **options), resume=True)
@@ -1079,18 +1077,6 @@ def test_a_longer_run_is_no_finished_one(tmp_path: Path, monkeypatch: pytest.Mon
 
 def killed(*_: Any) -> None:
     raise Killed
-
-
-def test_options_that_go_by_the_share_of_all_episodes_are_known(tmp_path: Path) -> None:
-    def schedules(**options: Any) -> Any:
-        learner = config_in(tmp_path, **options).learner
-        return learner.cls.schedules(learner.options)
-
-    assert schedules(epsilon_final=0.0) == ("epsilon",)
-    assert schedules(**STEADY) == ()
-    assert schedules(kind="ppo") == ("learning_rate",)
-    imitation = build(Config, {"learner": {"kind": "imitation", "anneal": False}}).learner
-    assert imitation.cls.schedules(imitation.options) == ()
 
 
 # --- refused --------------------------------------------------------------------------------------

@@ -482,6 +482,7 @@ def test_what_is_known_is_checked(tmp_path: Path) -> None:
     for overflow, wirelength, bound in ((1, 5, (1, 6)), (1, 5, (2, 0)), (1, 5, (-1, 9))):
         with pytest.raises(InputError, match="bound of at most"):
             Best(
+                problem="",
                 overflow=overflow,
                 wirelength=wirelength,
                 bound_overflow=bound[0],
@@ -1131,7 +1132,7 @@ def test_a_generator_without_seed_holds_problems_out(tmp_path: Path) -> None:
     ("train", "env", "said"),
     [
         ({"games": 2}, {}, "train.shared: expected true: games draw problems for one network"),
-        ({"games": 0, "shared": True}, {}, "train.games: expected a number from 1 to 10000"),
+        ({"games": 0, "shared": True}, {}, "train.games: expected 1 to 1000000, found 0"),
         ({"validation": 3}, {}, "train.validation: expected null without train.games"),
         ({"games": 2, "shared": True, "validation": 21}, {"scenario": "toy-4x4-v0"},
          "train.validation: expected at most 20, those of the split, found 21"),

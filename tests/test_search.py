@@ -120,8 +120,7 @@ def plain_path(engine: Engine, n: int, start: int, target: int) -> tuple[list[in
 def test_paths_are_those_of_plain_astar(
     grid: tuple[int, int, int], capacity: int, nets: int, max_pins: int
 ) -> None:
-    """Ties and all, whatever is done to open fewer Gcells; on grids too full for all nets."""
-    fewer = 0
+    """Ties and all, on grids too full for all nets."""
     for seed in range(3):
         (problem,) = generate(1, grid, nets, max_pins, capacity, reduced_edges=0, seed=seed)
         engine = Engine([problem], overflow="allowed", max_steps=1000)
@@ -131,18 +130,15 @@ def test_paths_are_those_of_plain_astar(
             length = shortest_path(engine.static, engine.dynamic, working, 0, n, *ends)
             moves, opened = plain_path(engine, n, *ends)
             assert working.search.path[:length].tolist() == moves
-            fewer += (
-                np.count_nonzero(working.search.nodes["stamp"] == -working.search.number[0])
-                < opened
-            )
+            stamps = working.search.nodes["stamp"]
+            assert np.count_nonzero(stamps == -working.search.number[0]) == opened
             for move in moves:
                 engine.step(np.array([move]))
         assert engine.solution() == sequential_astar(problem)
-    assert fewer  # there were walls to look behind
 
 
-def test_a_target_without_a_way_in_does_not_cost_the_whole_grid() -> None:
-    """A walled-in pin far from the border of a large grid: few Gcells are opened."""
+def test_a_target_without_a_way_in() -> None:
+    """A walled-in pin far from the border of a large grid."""
     around = [(x, y) for x in (20, 21) for y in (20, 21)]
     walls = {
         (min(a, b), max(a, b))
@@ -167,8 +163,6 @@ def test_a_target_without_a_way_in_does_not_cost_the_whole_grid() -> None:
     assert length == 10
     assert working.search.path[:length].tolist() == plain_path(engine, 0, start, target)[0]
     assert walk(engine, game, 0, start, target)[1] == 1009
-    # Of 1600, in all searches together.
-    assert np.count_nonzero(working.search.nodes["stamp"]) < 400
 
 
 @given(contested(max_nets=8), net_orders)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from marouting.game import NOBODY
 from marouting.kernels import compiled, i64
 
 
@@ -18,6 +19,23 @@ from marouting.kernels import compiled, i64
 def byte_of(bits: Any, m: int, row: int, byte: int) -> int:
     """The eight bits of a byte of a row."""
     return i64(bits[m, row, byte])
+
+
+@compiled
+def next_in(bits: Any, m: int, row: int, number: int) -> int:
+    """The first number from ``number`` on that is in a row, or NOBODY."""
+    byte = number >> 3
+    if byte >= bits.shape[2]:
+        return i64(NOBODY)
+    rest = i64(byte_of(bits, m, row, byte)) >> (number & 7)
+    while rest == 0:
+        byte += 1
+        if byte >= bits.shape[2]:
+            return i64(NOBODY)
+        number, rest = 8 * byte, i64(byte_of(bits, m, row, byte))
+    while not rest & 1:
+        number, rest = number + 1, rest >> 1
+    return number
 
 
 @compiled

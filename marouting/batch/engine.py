@@ -404,7 +404,7 @@ class Engine:
             steps=int(game["steps"]),
         )
 
-    def solution(self, m: int = 0, used: NDArray[np.uint8] | None = None) -> Solution:
-        """The routes of problem m, now or by ``used``, an earlier copy of ``dynamic.used[m]``."""
-        agent, edge = numbers_of(self.dynamic.used[m : m + 1] if used is None else used[None], 0)
+    def solution(self, m: int = 0) -> Solution:
+        """The routes of problem m."""
+        agent, edge = numbers_of(self.dynamic.used[m : m + 1], 0)
         return Solution.of_uses(self._held[m], self.nets[m, agent].astype(np.int64), edge)

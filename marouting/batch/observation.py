@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from marouting.batch.bits import byte_of
+from marouting.batch.bits import next_in
 from marouting.batch.state import Dynamic, Static
 from marouting.game import NOBODY, Status
 from marouting.kernels import as_index, compiled, i64, inlined
@@ -71,13 +71,11 @@ def write_state(dynamic: Dynamic, m: int, out: Any) -> None:
         for channel in range(VIA_AXIS, CHANNELS):
             out[m, cell, channel] = 0
     for n in range(dynamic.agents.shape[1]):
-        for byte in range(dynamic.used.shape[2]):
-            bits = byte_of(dynamic.used, m, n, byte)
-            edge = 8 * byte
-            while bits != 0:
-                if bits & 1 and edge % AXES == VIA_AXIS:
-                    out[m, edge // AXES, VIA_AXIS] += 1
-                edge, bits = edge + 1, bits >> 1
+        edge = next_in(dynamic.used, m, i64(n), i64(0))
+        while edge != NOBODY:
+            if edge % AXES == VIA_AXIS:
+                out[m, edge // AXES, VIA_AXIS] += 1
+            edge = next_in(dynamic.used, m, i64(n), edge + 1)
         agent = dynamic.agents[m, n]
         if agent.status == Status.ACTIVE:
             out[m, as_index(agent.cell), AXES] += 1

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from marouting.batch.bits import byte_of
+from marouting.batch.bits import next_in
 from marouting.batch.edges import demand_of, has_room, uses
 from marouting.batch.observation import paper_reward
 from marouting.batch.places import distance
@@ -140,14 +140,13 @@ def _pay_overflow(
     for other in range(static.order.shape[1]):
         if other == n:
             continue
-        for byte in range(dynamic.used.shape[2]):
-            bits, edge = byte_of(dynamic.used, m, i64(other), byte), 8 * byte
-            while bits != 0:
-                if bits & 1 and dynamic.remaining[m, edge] < 0:
-                    own = i64(static.demand[m, other, edge // AXES % static.demand.shape[2]])
-                    due = _due(i64(dynamic.remaining[m, edge]), own)
-                    reward[m, other if fast.everyone else 0] += price * due
-                edge, bits = edge + 1, bits >> 1
+        edge = next_in(dynamic.used, m, i64(other), i64(0))
+        while edge != NOBODY:
+            if dynamic.remaining[m, edge] < 0:
+                own = i64(static.demand[m, other, edge // AXES % static.demand.shape[2]])
+                due = _due(i64(dynamic.remaining[m, edge]), own)
+                reward[m, other if fast.everyone else 0] += price * due
+            edge = next_in(dynamic.used, m, i64(other), edge + 1)
 
 
 @compiled

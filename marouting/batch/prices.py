@@ -26,12 +26,12 @@ an edge without a price costs :data:`UNIT`. Prices have a finer unit, 1 / WHOLE.
 from dataclasses import dataclass
 from typing import Any
 
-from marouting.batch.bits import byte_of, copy_row
+from marouting.batch.bits import byte_of, copy_row, next_in
 from marouting.batch.edges import use_edges
 from marouting.batch.state import Dynamic, Option, Static
 from marouting.batch.tasks import clear, grow_tree, is_on, keeps_tree
 from marouting.checks import check_fields
-from marouting.game import Status
+from marouting.game import NOBODY, Status
 from marouting.kernels import as_index, compiled, i64
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.rules import MOST_ROUNDS
@@ -129,19 +129,16 @@ def net_cost(
 ) -> int:
     """What a net's edges cost it in a priced round."""
     cost = i64(0)
-    for byte in range(rows.shape[2]):
-        bits = byte_of(rows, m, row, byte)
-        edge = i64(8 * byte)
-        while bits != 0:
-            if bits & 1:
-                axis, cell = edge % AXES, as_index(edge // AXES)
-                if axis == VIA_AXIS:
-                    cost += UNIT
-                else:
-                    demand = i64(static.demand[m, n, static.position[cell, VIA_AXIS]])
-                    room = i64(dynamic.remaining[m, edge]) + own * demand
-                    cost += edge_cost(static, dynamic, m, edge, demand, room)
-            bits, edge = bits >> 1, edge + 1
+    edge = next_in(rows, m, row, i64(0))
+    while edge != NOBODY:
+        axis, cell = edge % AXES, as_index(edge // AXES)
+        if axis == VIA_AXIS:
+            cost += UNIT
+        else:
+            demand = i64(static.demand[m, n, static.position[cell, VIA_AXIS]])
+            room = i64(dynamic.remaining[m, edge]) + own * demand
+            cost += edge_cost(static, dynamic, m, edge, demand, room)
+        edge = next_in(rows, m, row, edge + 1)
     return cost
 
 

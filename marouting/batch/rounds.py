@@ -21,7 +21,7 @@ Restoring routes makes no move and pays no reward.
 """
 
 from marouting import game as rules
-from marouting.batch.bits import byte_of, empty, put, set_byte
+from marouting.batch.bits import byte_of, empty, next_in, put, set_byte
 from marouting.batch.edges import use_edges
 from marouting.batch.places import grid_of
 from marouting.batch.prices import choose_kind, is_priced, net_cost, put_best, take_routes
@@ -49,17 +49,13 @@ def is_full(static: Static, dynamic: Dynamic, m: int, edge: int) -> bool:
 def _price(static: Static, dynamic: Dynamic, m: int, n: int, now: bool) -> int:
     """A net's open tasks and full edges: those full now, or each by the rounds it was full in."""
     price = i64(0)
-    for byte in range(dynamic.used.shape[2]):
-        bits = byte_of(dynamic.used, m, n, byte)
-        edge = 8 * byte
-        while bits != 0:
-            if bits & 1:
-                if not now:
-                    price += dynamic.numbers[m, static.options[Option.HISTORY] + edge]
-                elif is_full(static, dynamic, m, edge):
-                    price += 1
-            bits >>= 1
-            edge += 1
+    edge = next_in(dynamic.used, m, n, i64(0))
+    while edge != NOBODY:
+        if not now:
+            price += dynamic.numbers[m, static.options[Option.HISTORY] + edge]
+        elif is_full(static, dynamic, m, edge):
+            price += 1
+        edge = next_in(dynamic.used, m, n, edge + 1)
     tasks = static.first[m, n + 1] - static.first[m, n]
     missing = min(i64(tasks - dynamic.agents[m, n].joined), _MOST_OPEN)
     return min(price, _OPEN - 1) + _OPEN * missing

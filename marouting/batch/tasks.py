@@ -5,7 +5,7 @@ The rules are in the section "Tasks" of :mod:`marouting.game`. The options ``tar
 Steiner trees, "pin" stands for Steiner points as well.
 """
 
-from marouting.batch.bits import byte_of, empty, has, put
+from marouting.batch.bits import empty, has, next_in, put
 from marouting.batch.edges import uses
 from marouting.batch.places import distance
 from marouting.batch.state import Dynamic, Option, Static
@@ -81,16 +81,12 @@ def nearest_in_tree(static: Static, dynamic: Dynamic, m: int, n: int, pin: int) 
     """The Gcell of a net's tree that is nearest to another Gcell, and its distance."""
     nearest, least = i64(0), i64(1 << 62)
     row = as_index(static.options[Option.TREE] + n)
-    for byte in range(dynamic.sets.shape[2]):
-        bits = byte_of(dynamic.sets, m, row, byte)
-        cell = 8 * byte
-        while bits != 0:
-            if bits & 1:
-                far = distance(static, cell, pin)
-                if (far, cell) < (least, nearest):
-                    nearest, least = cell, far
-            bits >>= 1
-            cell += 1
+    cell = next_in(dynamic.sets, m, row, i64(0))
+    while cell != NOBODY:
+        far = distance(static, cell, pin)
+        if (far, cell) < (least, nearest):
+            nearest, least = cell, far
+        cell = next_in(dynamic.sets, m, row, cell + 1)
     return nearest, least
 
 

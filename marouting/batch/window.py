@@ -60,7 +60,7 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
-from marouting.batch.bits import byte_of
+from marouting.batch.bits import next_in
 from marouting.batch.engine import Engine
 from marouting.batch.expected import (
     Maps,
@@ -287,7 +287,7 @@ def _heads_of(engine: Engine) -> NDArray[np.int32]:
     return found
 
 
-_NO_MAPS = new_maps((1, 1, 1, 1, 1))
+_NO_MAPS = new_maps(1, 1, 1)
 """What is given where no predicted demand is shown."""
 
 _bound: WeakKeyDictionary[Engine, Callable[..., bool]] = WeakKeyDictionary()
@@ -350,11 +350,11 @@ def _write_rows(
         if m != counted:
             _prepare(static, dynamic, heads, maps, where, m)
             counted = m
-        own = where.demand >= 0 and n != NOBODY and maps.counted[m, n, 0] != NOBODY
+        own = where.demand >= 0 and n != NOBODY and dynamic.agents[m, n].status == Status.ACTIVE
         # Two turns instead of two calls, which would compile it twice.
         for sign in range(-1, 2, 2):
             if own:
-                _take_own(static, maps, where, m, n, as_index(dynamic.agents[m, n].cell), sign)
+                _take_own(static, dynamic, maps, where, m, n, sign)
             if sign < 0:
                 write_window(static, dynamic, heads, maps, where, m, n, out, i)
     return True
@@ -373,19 +373,19 @@ def _prepare(
 
 @compiled
 def _take_own(
-    static: Static, maps: Maps, where: Where, m: int, n: int, cell: int, sign: int
+    static: Static, dynamic: Dynamic, maps: Maps, where: Where, m: int, n: int, sign: int
 ) -> None:
     """Takes a net's own expected demand off the edges of its window (−1), or adds it again (1)."""
     _, rows, layers = grid_of(static)
     reach = i64(where.radius)
-    x, y, z = position(static, cell)
-    present = i64(maps.counted[m, n, 2])
+    agent = dynamic.agents[m, n]
+    x, y, z = position(static, as_index(agent.cell))
     for task in range(i64(static.first[m, n]), i64(static.first[m, n + 1])):
-        if task != present and not maps.later[m, task - static.first[m, 0]]:
+        if task != agent.task and not is_later(static, dynamic, m, n, i64(task)):
             continue
         near, far = as_index(static.tasks[task, 0]), as_index(static.tasks[task, 1])
-        if task == present:
-            near, far = as_index(maps.counted[m, n, 0]), as_index(maps.counted[m, n, 1])
+        if task == agent.task:
+            near, far = as_index(agent.cell), as_index(agent.target)
         x0, x1 = i64(static.position[near, 0]), i64(static.position[far, 0])
         y0, y1 = i64(static.position[near, 1]), i64(static.position[far, 1])
         x0, x1, y0, y1 = min(x0, x1), max(x0, x1), min(y0, y1), max(y0, y1)
@@ -440,13 +440,10 @@ def write_window_state(
     pins = begin + AXES * i64(where.own >= 0)
     for n in range(dynamic.agents.shape[1]):
         if where.own >= 0:
-            for byte in range(dynamic.used.shape[2]):
-                bits = byte_of(dynamic.used, m, n, byte)
-                edge = 8 * byte
-                while bits != 0:
-                    if bits & 1:
-                        out[m, edge // AXES, begin + edge % AXES] += 1
-                    edge, bits = edge + 1, bits >> 1
+            edge = next_in(dynamic.used, m, i64(n), i64(0))
+            while edge != NOBODY:
+                out[m, edge // AXES, begin + edge % AXES] += 1
+                edge = next_in(dynamic.used, m, i64(n), edge + 1)
         agent = dynamic.agents[m, n]
         if where.pins >= 0 and agent.status == Status.ACTIVE:
             out[m, as_index(agent.target), pins] += 1

@@ -305,7 +305,7 @@ class CudaBatchEnv(BatchEnv):
         games, gcells = self.num_problems, len(self._static.neighbour)
         layers, device = self.pool[0].grid[2], self._device
         tracks = np.array([track_of(static, m) for m in range(len(self.pool))], np.float32)
-        maps = new_maps((1, 1, 1, layers, 1), self._zeros)
+        maps = new_maps(1, 1, layers, self._zeros)
         look = Surroundings(
             heads=device.zeros((games, gcells * (1 + (where.messages >= 0))), np.int16, "C"),
             where=where,

@@ -29,6 +29,7 @@ class Best:
     """What is known about the best solution of a problem.
 
     Attributes:
+        problem: the name of the problem in its scenario, for readers.
         overflow: overflow of the best solution known, in tracks.
         wirelength: its wirelength, in edges.
         bound_overflow: no solution has less overflow.
@@ -37,6 +38,7 @@ class Best:
         seconds: the time that they took, in all.
     """
 
+    problem: str
     overflow: int
     wirelength: int
     bound_overflow: int
@@ -61,17 +63,6 @@ class Best:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Record(Best):
-    """An entry of a file.
-
-    Attributes:
-        problem: the name of the problem in its scenario, for readers.
-    """
-
-    problem: str
-
-
-@dataclass(frozen=True, kw_only=True)
 class References:
     """The content of a file.
 
@@ -81,7 +72,7 @@ class References:
             ``python -m policies.experiment.anarchy`` writes it.
     """
 
-    references: dict[str, Record]
+    references: dict[str, Best]
     heuristic: dict[str, float] = field(default_factory=dict)
 
 

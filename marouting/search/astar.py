@@ -15,13 +15,6 @@ first, and the neighbours of a Gcell are found in the order of
 The **open list** is a stack of entries for each f, so the entry found last is on top. A Gcell that
 is found again by a cheaper path gets a second entry; the entry left behind is skipped when its turn
 comes. As all f in the list lie close together, the stacks are kept in a ring, f modulo LEVELS.
-
-**Walls.** A goal that is walled in would make A* open the whole grid, in the vain hope of a way
-around that is cheaper than a full edge. So a search that takes long pauses to look for walls: full
-edges that no path to the goals gets around. The walls it finds become part of the heuristic until
-the cost of a cheapest path is known. Then A* with its usual heuristic, and so its usual ties, finds
-the path; it leaves out Gcells from which the walls make every path cost more. Neither these nor
-anything found from them lies on a cheapest path, so the path is the one without walls.
 """
 
 from typing import Any, NamedTuple
@@ -44,13 +37,12 @@ STEP_COST = 1
 FULL_COST = 1000
 """Cost of a step, and of one across an edge without remaining capacity (paper, section 3.3)."""
 
-LEVELS = 1 << (2 * FULL_COST).bit_length()
-"""Stacks of the open list. Along a step f grows by FULL_COST + 1 at most, and by up to another
-FULL_COST − 1 for a wall; no two f in the list are farther apart."""
+LEVELS = 1 << (FULL_COST + 1).bit_length()
+"""Stacks of the open list. Along a step f grows by FULL_COST + 1 at most; no two f in the list are
+farther apart."""
 
 _RING = LEVELS - 1
-_WALL_COST = FULL_COST - STEP_COST  # what crossing a wall adds to the cost of a path, at least
-_EMPTY = _UNKNOWN = -1
+_EMPTY = -1
 _EDGES_PER_TASK = 8  # initial room for the edges of routes; it doubles as needed
 
 NODE = np.dtype(
@@ -90,9 +82,6 @@ class Search(NamedTuple):
     goals: NDArray[np.int32]  # (G,) the current goals, goal_count[0] of them
     goal_count: NDArray[np.int64]  # (1,)
     box: NDArray[np.int64]  # (3, 2) lowest and highest x, y, z of a goal
-    depth: NDArray[np.int64]  # (G,) base[0] + walls between a Gcell and the goals; less: unknown
-    base: NDArray[np.int64]  # (1,) added to every depth; smaller values are from earlier floods
-    flood: NDArray[np.int32]  # (G,) the Gcells that the last flood reached, in order
     path: NDArray[np.int8]  # (G,) the moves of the path found
 
 
@@ -110,9 +99,6 @@ def make_search(grid: Grid) -> Search:
         goals=np.empty(g, np.int32),
         goal_count=np.zeros(1, np.int64),
         box=np.empty((AXES, 2), np.int64),
-        depth=np.zeros(g, np.int64),
-        base=np.zeros(1, np.int64),
-        flood=np.empty(g, np.int32),
         path=np.empty(g, np.int8),
     )
 
@@ -171,25 +157,14 @@ def _has_room(w: Capacities, cell: int, move: int) -> bool:
 
 
 @compiled
-def _astar(
-    w: Capacities,
-    s: Search,
-    cell: int,
-    f: int,
-    entries: int,
-    opened: int,
-    limit: int,
-    walls: int,
-    most: int,
-) -> tuple[int, int, int, int]:
-    """A*: opens Gcells until the next one is a goal, or ``limit`` Gcells have been opened.
-
-    With ``walls`` > 0, known walls are part of the heuristic; ``most`` is the cost of a cheapest
-    path, or _UNKNOWN. Returns ``cell``, ``f``, ``entries`` and ``opened`` to go on with.
-    """
-    while opened < limit and not is_goal(s, cell):
+def path_to_goals(w: Capacities, s: Search, source: int) -> int:
+    """Finds a cheapest path to the nearest goal, in ``s.path``; returns its moves."""
+    s.number[0] += 1
+    s.head[:] = _EMPTY
+    s.nodes[source].cost = 0
+    cell, f, entries = source, _distance_left(w, s, source), i64(0)
+    while not is_goal(s, cell):
         s.nodes[cell].stamp = -s.number[0]  # its cost is final
-        opened += 1
         so_far, left = s.nodes[cell].cost, _distance_left(w, s, cell)
         for move in range(MOVES):
             if not w.exits[cell] >> move & 1:
@@ -204,13 +179,6 @@ def _astar(
             nearer = at > high if move & 1 else at < low
             farther = at <= low if move & 1 else at >= high
             f_ahead = cost + left + farther - nearer
-            if walls > 0:
-                depth = s.depth[ahead] - s.base[0]
-                added = _WALL_COST * (depth if 0 <= depth < walls else walls)
-                if most == _UNKNOWN:
-                    f_ahead += added
-                elif f_ahead + added > most:
-                    continue
             node.stamp = s.number[0]
             node.cost = cost
             node.came = move
@@ -226,85 +194,6 @@ def _astar(
             cell = as_index(s.cell[entry])
             if s.nodes[cell].stamp == s.number[0]:
                 break
-    return cell, f, entries, opened
-
-
-@compiled
-def _find_walls(w: Capacities, s: Search, source: int, budget: int) -> int:
-    """Finds the walls around the goals: how many every path crosses from a Gcell not flooded.
-
-    Floods the Gcells from which a goal can be reached by steps alone, then those behind one wall,
-    and so on, until the source is reached or the budget, a number of Gcells, is used up.
-    """
-    depth, flood = s.depth, s.flood
-    s.base[0] += len(depth) + 1
-    base = s.base[0]
-    walls = 0
-    size = s.goal_count[0]
-    budget += size
-    for i in range(size):
-        flood[i] = s.goals[i]
-        depth[flood[i]] = base
-    # Each depth is gone through twice: first Gcells are added across edges with room, as far as
-    # there are any, then those behind the next wall.
-    first = last = at = 0  # the Gcells of the current depth begin with the first
-    flooding = True
-    while True:
-        if at == (size if flooding else last):
-            if flooding:
-                walls += 1
-                last = size
-            else:
-                first = last
-            at = first
-            flooding = not flooding
-            continue
-        if flooding and size > budget:
-            return walls
-        cell = as_index(flood[at])
-        at += 1
-        for move in range(MOVES):
-            if not w.exits[cell] >> move & 1:
-                continue
-            beside = as_index(w.neighbour[cell, move])
-            if depth[beside] >= base or (flooding and not _has_room(w, cell, move)):
-                continue
-            if beside == source:
-                return walls
-            depth[beside] = base + walls
-            flood[size] = beside
-            size += 1
-
-
-@compiled
-def path_to_goals(w: Capacities, s: Search, source: int) -> int:
-    """Finds a cheapest path to the nearest goal, in ``s.path``; returns its moves."""
-    distance = _distance_left(w, s, source)
-    limit = 16 * (distance + 8)  # Gcells to open before looking for walls
-    walls, most = i64(0), i64(_UNKNOWN)
-    cell, seen = source, i64(0)
-    while True:  # one search after another, each knowing more
-        s.number[0] += 1
-        s.head[:] = _EMPTY
-        s.nodes[source].cost = 0
-        cell, f, entries, opened = source, distance, i64(0), i64(0)
-        if most == _UNKNOWN:
-            f += _WALL_COST * walls  # the source lies behind all walls that are known
-        while True:  # one search, with pauses
-            stop = limit - 1 if most == _UNKNOWN else i64(len(s.nodes))
-            cell, f, entries, opened = _astar(w, s, cell, f, entries, opened, stop, walls, most)
-            if is_goal(s, cell):
-                break
-            seen = _find_walls(w, s, source, limit // 4)
-            limit *= 4
-            if seen > walls:
-                break
-        if not is_goal(s, cell):
-            walls = seen
-        elif walls == 0 or most != _UNKNOWN:
-            break
-        else:
-            most = i64(s.nodes[cell].cost)
     length = 0
     while cell != source:
         came = s.nodes[cell].came

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.batch.bits import byte_of, put_numbers
+from marouting.batch.bits import next_in, put_numbers
 from marouting.batch.edges import may_cross, uses
 from marouting.batch.engine import Engine
 from marouting.batch.state import Dynamic, Static
@@ -121,14 +121,10 @@ def shortest_path(
 ) -> int:
     """Finds a cheapest path between two Gcells, in ``s.search.path``; returns its moves."""
     s.net[0] += 1
-    for byte in range(dynamic.used.shape[2]):
-        bits = byte_of(dynamic.used, m, n, byte)
-        edge = 8 * byte
-        while bits != 0:
-            if bits & 1:
-                s.own[edge] = s.net[0]
-            bits >>= 1
-            edge += 1
+    edge = next_in(dynamic.used, m, n, i64(0))
+    while edge != NOBODY:
+        s.own[edge] = s.net[0]
+        edge = next_in(dynamic.used, m, n, edge + 1)
     w = Capacities(
         static.neighbour,
         static.edge,

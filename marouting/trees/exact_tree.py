@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 
 from marouting.kernels import compiled, i64
 from marouting.problem.grid import AXES, MOVES
-from marouting.trees.heap import exchange, pop, push
+from marouting.trees.heap import pop, push
 from marouting.trees.lattice import CLOSED, Lattice
 
 _TIE_BITS = 12  # among equal f the entry nearest to the goal goes first, as far as these can tell
 _TIE_SHIFT = 3
-_NO_KEY = (1 << 63) - 1
 
 
 class Search(NamedTuple):
@@ -132,18 +131,9 @@ def exact_tree(lattice: Lattice, s: Search, starts: int, groups: int, random: in
         mark[label], costs[label], came[label] = found, 0, MOVES
         push(heap, size, _key(ahead, ahead, label ^ salt, bits))
         size += 1
-    # The smallest key of those that the last label led to stays outside the heap. More often than
-    # not it is the next one: labels nearer to the goal go first.
-    last = i64(_NO_KEY)
-    while size > 0 or last != _NO_KEY:
-        key = last
-        if size > 0 and heap[0] < last:
-            if last == _NO_KEY:
-                key = pop(heap, size)
-                size -= 1
-            else:
-                key = exchange(heap, size, last)
-        last = i64(_NO_KEY)
+    while size > 0:
+        key = pop(heap, size)
+        size -= 1
         label = (key & ((1 << bits) - 1)) ^ salt
         if mark[label] == -found:
             continue
@@ -174,12 +164,8 @@ def exact_tree(lattice: Lattice, s: Search, starts: int, groups: int, random: in
             ahead -= wide_x if axis == 0 else wide_y if axis == 1 else wide_z
             ahead += _span(least, most, joined, lines, axis, at)
             mark[there], costs[there], came[there] = found, cost, how
-            key = _key(cost + ahead, ahead, there ^ salt, bits)
-            if key < last:
-                key, last = last, key
-            if key != _NO_KEY:
-                push(heap, size, key)
-                size += 1
+            push(heap, size, _key(cost + ahead, ahead, there ^ salt, bits))
+            size += 1
         # All sets whose trees could be merged in here.
         others = every & ~joined
         part = others
@@ -194,12 +180,8 @@ def exact_tree(lattice: Lattice, s: Search, starts: int, groups: int, random: in
                 continue
             ahead = _box(least, most, merged, lines, x, y, z)
             mark[there], costs[there], came[there] = found, cost, how
-            key = _key(cost + ahead, ahead, there ^ salt, bits)
-            if key < last:
-                key, last = last, key
-            if key != _NO_KEY:
-                push(heap, size, key)
-                size += 1
+            push(heap, size, _key(cost + ahead, ahead, there ^ salt, bits))
+            size += 1
     return CLOSED
 
 

@@ -15,7 +15,7 @@ from policies.bench.environment import batch, interfaces, observation, search, s
 from policies.bench.measure import Bench, Measurement, machine
 from policies.bench.training import training
 from policies.cli.main import status
-from policies.cli.options import FILE, WHOLE, json_option
+from policies.cli.options import FILE, json_option
 
 SECTIONS: Mapping[str, Callable[[Bench], Iterator[Measurement]]] = {
     "start": start,
@@ -68,11 +68,11 @@ def number(value: float) -> str:
 @click.command()
 @click.argument("sections", nargs=-1, metavar="[SECTION]...")
 @click.option(
-    "--repeats", type=WHOLE, default=7, show_default=True, help="Repeats of every measurement."
+    "--repeats", type=int, default=7, show_default=True, help="Repeats of every measurement."
 )
 @click.option(
     "--threads",
-    type=WHOLE,
+    type=int,
     default=2,
     show_default=True,
     help="Threads of the multi-threaded measurements.",

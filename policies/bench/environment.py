@@ -6,6 +6,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -182,16 +183,11 @@ def _networkx(problem: Problem, tasks: int | None = None) -> Work:
     return work
 
 
-def _fresh(problem: Problem) -> Problem:
-    """The same problem, of which nothing has been worked out yet."""
-    return Problem(**{name: getattr(problem, name) for name in problem.__dataclass_fields__})
-
-
 def search(bench: Bench) -> Iterator[Measurement]:
     """Sequential A*, from a problem to its solution."""
     problems = generate(100)
     # Problems of which nothing has been worked out yet, for every repeat and the first time.
-    stock = [[_fresh(problem) for problem in problems] for _ in range(bench.repeats + 1)]
+    stock = [[replace(problem) for problem in problems] for _ in range(bench.repeats + 1)]
 
     def fresh() -> float:
         for problem in stock.pop():

@@ -10,7 +10,7 @@ import click
 
 from marouting import InputError
 from policies.cli.completion import keys_of, routers, scenario_names
-from policies.cli.options import FILE, WHOLE, allow_code_option, json_option, overrides_argument
+from policies.cli.options import FILE, allow_code_option, json_option, overrides_argument
 
 NAME = "{name}"
 """In --name: the name that a row has otherwise."""
@@ -65,12 +65,12 @@ OUT = Path("runs/benchmark")
 )
 @click.option(
     "--seeds",
-    type=WHOLE,
+    type=int,
     help="Number of seeds of randomised routers.  [default: as --config says, or 3]",
 )
 @click.option(
     "--training-steps",
-    type=WHOLE,
+    type=int,
     metavar="N",
     help="In a scenario of docs/cooperation.md, how many agent-steps a learner is trained on the "
     "training problems before it plays the split.  [default: as the scenario suggests]",

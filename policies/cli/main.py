@@ -515,15 +515,10 @@ def train(
         click.echo(f"{resume}: no checkpoint yet, so the training starts again", err=True)
     if run.had is not None:
         click.echo(
-            f"{resume}: train.episodes was {run.had}, now {settings.train.episodes}", err=True
+            f"{resume}: train.episodes was {run.had}, now {settings.train.episodes}; a learning "
+            "rate or epsilon that falls over the whole training now falls over the new number",
+            err=True,
         )
-        learner = settings.learner
-        for name in learner.cls.schedules(learner.options):
-            click.echo(
-                f"{resume}: learner.{name} depends on train.episodes, so the result differs from "
-                f"a new training of {settings.train.episodes} episodes",
-                err=True,
-            )
     click.echo(f"learner {settings.learner.name}: {run.trainer.path}", err=True)
     with training_bar(*run.progress, run.best, run.reference) as watch:
         rows = run.execute(lambda some: watch(some, run.trainer.walks, run.progress[0]))

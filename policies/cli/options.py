@@ -2,7 +2,6 @@
 
 import functools
 import json
-import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -15,40 +14,8 @@ from marouting.config import attributes, hints_of
 from marouting.registry import allowing_code
 from policies.cli.completion import Complete
 
-
-class _File(click.Path):
-    """A path, which holds no character NUL: no function of the operating system takes that."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """The path; a usage error if it cannot be one."""
-        if "\0" in str(value):
-            self.fail(f"{value!r} is not a path.", param, ctx)
-        return super().convert(value, param, ctx)
-
-
-FILE = _File(path_type=Path)
+FILE = click.Path(path_type=Path)
 """The path of a file or folder, which shells complete."""
-
-
-class _Number(click.ParamType[Any]):
-    """A number in ASCII, as everywhere: Python's own functions take more, such as ``1_0``."""
-
-    def __init__(self, type: click.ParamType[Any], pattern: str) -> None:
-        self.name, self._type = type.name, type
-        self._matches = re.compile(pattern).fullmatch
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """The number; a usage error if it is none."""
-        if isinstance(value, str) and not self._matches(value):
-            self.fail(f"{value!r} is not a valid {self.name}.", param, ctx)
-        return self._type.convert(value, param, ctx)
-
-
-WHOLE = _Number(click.INT, "[+-]?[0-9]+")
-"""A whole number on the command line."""
-
-NUMBER = _Number(click.FLOAT, r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
-"""A finite number on the command line."""
 
 
 def options_of(schema: Any, but: Collection[str] = ()) -> Callable[[Any], Any]:
@@ -82,7 +49,7 @@ def _type_of(hint: Any) -> Any:
     if get_origin(hint) is tuple:
         return click.Tuple([_type_of(one) for one in inner])
     kind = next((one for one in inner if one is not NoneType), hint)
-    return {int: WHOLE, float: NUMBER}[kind]
+    return {int: click.INT, float: click.FLOAT}[kind]
 
 
 json_option = click.option(

@@ -13,7 +13,7 @@ import click
 from marouting import Controls, ProblemFile
 from marouting.config import build, override
 from marouting.errors import InputError
-from policies.cli.options import FILE, WHOLE
+from policies.cli.options import FILE
 
 
 def problem_argument(command: Callable[..., None]) -> Callable[..., None]:
@@ -29,7 +29,7 @@ def problem_argument(command: Callable[..., None]) -> Callable[..., None]:
     )
     @click.option(
         "--tile",
-        type=click.Tuple([WHOLE, WHOLE]),
+        type=click.Tuple([int, int]),
         help="Width and height of a Gcell, in units of the .def file.  "
         "[default: its GCELLGRID, or 15 tracks]",
     )

@@ -9,7 +9,7 @@ import click
 from marouting import InputError, Problem, ProblemFile, Solution, evaluate, sequential_astar
 from marouting.files import check_apart, check_writable, is_dir, stem_of, suffix_of, write_text
 from marouting.rules import TurnOrder
-from policies.cli.options import FILE, WHOLE, allow_code_option, json_option, tell
+from policies.cli.options import FILE, allow_code_option, json_option, tell
 from policies.cli.source import problem_argument
 from policies.results.run_folder import solution_name
 from policies.routers.registry import labelled, router_label
@@ -44,7 +44,7 @@ PAGE, MOVING = ".html", (".svg", ".gif")
 )
 @click.option(
     "--frames",
-    type=WHOLE,
+    type=int,
     default=240,
     show_default=True,
     help="The most frames of an animation.",

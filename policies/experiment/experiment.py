@@ -11,11 +11,11 @@ from typing import Any
 from marouting import InputError, Problem, Solution
 from marouting.config import (
     MOST_TEXT,
+    allowing_code_of,
     build,
     check,
     check_code,
     check_same,
-    code_named,
     read_yaml,
     yaml_text,
 )
@@ -83,7 +83,7 @@ class Experiment:
         mine = self.config.routers
         self._kept = dict(routers)
         own = {name: entry for name, entry in routers.items() if name in mine} or mine
-        with allowing_code(name for _, name in code_named(mine)):
+        with allowing_code_of(mine):
             check_code(own, str(kept))
             raw = {**raw, "routers": own, "reference": None}
             before = build(ExperimentConfig, raw, str(kept))

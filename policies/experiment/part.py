@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any, cast
 
 from marouting import InputError, Problem, Solution
-from marouting.config import build, code_named
-from marouting.files import naming, write_text
-from marouting.registry import allowing_code
+from marouting.config import allowing_code_of, build
+from marouting.files import write_text
 from policies.engines import Call, EngineName, opened
 from policies.experiment.config import (
     PARTS,
@@ -157,17 +156,7 @@ class Part:
     def _external(self, name: str, problem: Problem) -> Solution:
         """The solution of a problem in a folder; raises InputError if there is none."""
         folder = Path(self.entry.options["folder"])
-        with naming(folder, "cannot be read"):
-            files = sorted(
-                path.name
-                for path in folder.iterdir()
-                if path.name.startswith(f"{name}.") and path.suffix != ".gr" and path.is_file()
-            )
-        if len(files) != 1:
-            raise InputError(
-                f"{folder}: expected one solution {name}.*, found {', '.join(files) or 'none'}"
-            )
-        return Solution.read(folder / files[0], problem)
+        return Solution.read(run_folder.solution_in(folder, name), problem)
 
     def _route(self, name: str) -> Row:
         problem = Problem.read(self.problem(name))
@@ -240,7 +229,7 @@ class Part:
 
         kept = self.run / run_folder.CONFIG
         if not (self.run / run_folder.POLICY).exists():
-            with allowing_code(name for _, name in code_named(self.entry)):
+            with allowing_code_of(self.entry):
                 config = load_config(kept) if kept.exists() else self._training()
             # The folder may have been renamed since the training was started.
             config = replace(config, out=str(self.run))

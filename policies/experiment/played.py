@@ -20,11 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting import Engine, scenarios
-from marouting.config import build, check, code_named
+from marouting.config import allowing_code_of, build, check
 from marouting.evaluation import check_rules, play_split, rules_of
 from marouting.observations import local_radius_of
 from marouting.options import PLAYED, game_options
-from marouting.registry import allowing_code
 from policies.results.rows import Count, Seconds
 from policies.results.run_folder import TrainingFigures
 from policies.routers.local import LocalRouter
@@ -88,7 +87,7 @@ def play(
     check("moves", callable(policy.moves), "a method")
     options: Mapping[str, Any] = getattr(policy, "options", None) or {}
     check("options", isinstance(options, Mapping), f"a mapping, found {options!r}")
-    with allowing_code(code for _, code in code_named(options)):
+    with allowing_code_of(options):
         own = {name: value for name, value in options.items() if name not in PLAYED}
         game = game_options({**own, "scenario": scenario, "split": split})
         check_rules(game, scenario)

@@ -28,7 +28,7 @@ from marouting import (
 )
 from marouting.config import check
 from marouting.files import write_text
-from marouting.scenarios.references import FOLDER, Record, read_references, references_in
+from marouting.scenarios.references import FOLDER, Best, read_references, references_in
 from policies.command import Command
 from policies.routers.optimal import OptimalRouter
 from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
@@ -42,7 +42,7 @@ class Effort(NamedTuple):
     each: float = 0.0  # seconds for each of these
 
 
-def solve(problem: Problem, name: str, effort: Effort, known: Record | None = None) -> Record:
+def solve(problem: Problem, name: str, effort: Effort, known: Best | None = None) -> Best:
     """The better solution and the better bound of what is known and what is found in addition."""
     began = time.monotonic()
     found = OptimalRouter(time_limit=effort.seconds).solve(problem)
@@ -59,7 +59,7 @@ def solve(problem: Problem, name: str, effort: Effort, known: Record | None = No
     how = f"solution by {solver}"
     if bound < score:
         how += f", bound by optimal in {effort.seconds:g} s"
-    record = Record(
+    record = Best(
         problem=name,
         overflow=score[0],
         wirelength=score[1],
@@ -71,7 +71,7 @@ def solve(problem: Problem, name: str, effort: Effort, known: Record | None = No
     return record if known is None else _better(known, record)
 
 
-def _better(known: Record, new: Record) -> Record:
+def _better(known: Best, new: Best) -> Best:
     """The better solution and the better bound of two records, with the time of both."""
     better = known if (known.overflow, known.wirelength) <= (new.overflow, new.wirelength) else new
     bound = max(known.bound, new.bound)
@@ -84,7 +84,7 @@ def _better(known: Record, new: Record) -> Record:
     )
 
 
-def solve_scenario(name: str, effort: Effort, *, again: bool = False) -> Iterator[Record]:
+def solve_scenario(name: str, effort: Effort, *, again: bool = False) -> Iterator[Best]:
     """Computes the references of a scenario and writes them to its file, one by one.
 
     Args:

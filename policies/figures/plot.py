@@ -122,37 +122,29 @@ def experiment_figures(experiment: Path, folder: Path | None = None) -> list[Pat
     for name, rows in by_set(results).items():
         astar = baseline(rows)
         # A* first: this gives it the paper's colour.
-        routers = dict(sorted(by_router(rows).items(), key=lambda router: router[0] != astar))
-        lengths = {router: mean_over_seeds(own, "wirelength") for router, own in routers.items()}
-        sort_by = astar or next(iter(routers))
-        order = np.argsort(lengths[sort_by], kind="stable")
-        title = f"{name}: {len(order)} problems"
-        by = f"{called.get(sort_by, sort_by)}'s wirelength"
-        gaps = {
-            called.get(name, name): mean_over_seeds(own, "gap") for name, own in routers.items()
-        }
+        routers = sorted(by_router(rows).items(), key=lambda router: router[0] != astar)
+        lengths, gaps, over = (
+            {called.get(router, router): mean_over_seeds(own, column) for router, own in routers}
+            for column in ("wirelength", "gap", "overflow")
+        )
+        first = next(iter(lengths))
+        order = np.argsort(lengths[first], kind="stable")
+        title, by = f"{name}: {len(order)} problems", f"{first}'s wirelength"
         if not all(np.isnan(values).all() for values in gaps.values()):
             write(figures.gaps_by_router(gaps, title), f"{name}_gap")
         else:
-            wires = {called.get(router, router): own for router, own in lengths.items()}
-            figure = figures.by_problem(wires, order, "wirelength [edges]", by, title)
+            figure = figures.by_problem(lengths, order, "wirelength [edges]", by, title)
             write(figure, f"{name}_wirelength")
-        over = {
-            called.get(router, router): mean_over_seeds(own, "overflow")
-            for router, own in routers.items()
-        }
         figure = figures.by_problem(over, order, "overflow [tracks]", by, title)
         write(figure, f"{name}_overflow")
         if astar is None:
             continue
         decreases = {
-            called.get(router, router): lengths[astar] - values
-            for router, values in lengths.items()
-            if router != astar
+            router: lengths[first] - own for router, own in lengths.items() if router != first
         }
         # One of them may join what the other leaves open.
         if not all(np.isnan(values).all() for values in decreases.values()):
-            figure = figures.decrease_histogram(decreases, called.get(astar, astar), title)
+            figure = figures.decrease_histogram(decreases, first, title)
             write(figure, f"{name}_decrease")
     return written
 

@@ -177,11 +177,6 @@ class Imitation(Learner):
         """(1,) states ever remembered."""
         return self.kept
 
-    @classmethod
-    def schedules(cls, options: ImitationOptions) -> tuple[str, ...]:
-        """See :meth:`policies.learned.learner.Learner.schedules`."""
-        return ("learning_rate",) * options.anneal
-
     def set_episodes(self, episodes: NDArray[np.int64]) -> None:
         """See :meth:`policies.learned.learner.Learner.set_episodes`."""
         self.progress[:] = min(float(episodes.mean()) / self.setup.episodes, 1.0)

@@ -62,7 +62,7 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
-from marouting.batch.bits import byte_of
+from marouting.batch.bits import next_in
 from marouting.batch.edges import demand_of, uses
 from marouting.batch.engine import Engine
 from marouting.batch.expected import Maps, maps_of, refresh, slack_of, squashed
@@ -468,17 +468,14 @@ def find_wires(static: Static, dynamic: Dynamic, ways: Ways, m: int, n: int) -> 
     ways.start[m] = dynamic.agents[m, n].cell
     ways.wired[static.first[m, n] : static.first[m, n + 1]] = _FARTHEST
     _note_wire(static, dynamic, ways, m, n, as_index(dynamic.agents[m, n].cell))
-    for byte in range(dynamic.used.shape[2]):
-        bits = byte_of(dynamic.used, m, n, byte)
-        edge = i64(8 * byte)
-        while bits != 0:
-            if bits & 1:
-                cell = as_index(edge // AXES)
-                ahead = as_index(static.neighbour[cell, 2 * (edge % AXES)])
-                for end in (cell, ahead):
-                    _note_wire(static, dynamic, ways, m, n, end)
-                    _touch(static, ways, m, end)
-            bits, edge = bits >> 1, edge + 1
+    edge = next_in(dynamic.used, m, n, i64(0))
+    while edge != NOBODY:
+        cell = as_index(edge // AXES)
+        ahead = as_index(static.neighbour[cell, 2 * (edge % AXES)])
+        for end in (cell, ahead):
+            _note_wire(static, dynamic, ways, m, n, end)
+            _touch(static, ways, m, end)
+        edge = next_in(dynamic.used, m, n, edge + 1)
 
 
 @compiled

@@ -25,9 +25,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.batch.bits import byte_of
+from marouting.batch.bits import next_in
 from marouting.batch.engine import Engine
-from marouting.batch.expected import Maps, maps_of, recount, refresh, sum_up
+from marouting.batch.expected import Maps, maps_of, refresh
 from marouting.batch.prices import UNIT, first_present, is_priced, net_cost, put_best
 from marouting.batch.rules import free_moves, move_player, pass_turn, settle_agent
 from marouting.batch.state import Dynamic, Option, Static
@@ -84,7 +84,6 @@ class WalkState(NamedTuple):
     game: NDArray[np.int64]  # (M,) working: the game of each row
     playing: NDArray[np.bool_]  # (M,) which games are played
     shortest: NDArray[np.int64]  # (M, N) the fewest edges that have joined a whole net so far
-    counted: NDArray[np.bool_]  # (M,) whether the agents stand in the maps of predicted demand
     guided: NDArray[np.bool_]  # (M,) whether the agents follow the guide
     guide: NDArray[Any]  # (1, N, …) bits, the edges that each net uses in another engine's game
     searches: NDArray[np.int64]  # (1,) how many have been made along the guide
@@ -141,7 +140,6 @@ class Walker:
             game=np.zeros(count, np.int64),
             playing=np.ones(count, np.bool_),
             shortest=np.full(engine.nets.shape, np.iinfo(np.int64).max),
-            counted=np.zeros(count, np.bool_),
             guided=np.zeros(count, np.bool_),
             guide=engine.dynamic.used,
             searches=np.zeros(1, np.int64),
@@ -287,7 +285,6 @@ def _go_on(static: Static, dynamic: Dynamic, given: WalkState) -> None:
     for m in range(len(given.playing)):
         game = dynamic.games[m]
         if given.playing[m] and game.active == 0 and game.agent != NOBODY:
-            given.counted[m] = False
             pass_turn(static, dynamic, i64(m))
 
 
@@ -301,8 +298,6 @@ def _on_tree(static: Static, dynamic: Dynamic, given: WalkState, m: int, n: int)
         random = i64(uniform(given.keys[m], given.counters[m], MOVES) * _RANDOM)
         margin = widened(static, dynamic, m, i64(_MARGIN))
         plan_tree(static, dynamic, given.trees, m, n, given.exact_pins, margin, random)
-        if given.counted[m]:
-            recount(static, dynamic, given.maps, m, n, False)
     return move_on_tree(static, dynamic, given.trees, m, n)
 
 
@@ -310,13 +305,7 @@ def _on_tree(static: Static, dynamic: Dynamic, given: WalkState, m: int, n: int)
 def _look(static: Static, dynamic: Dynamic, given: WalkState, m: int, n: int, row: int) -> None:
     """Writes what an agent sees; finds ways if its task begins."""
     if dynamic.agents[m, n].steps == 0:
-        if given.counted[m]:
-            # Nobody else has moved since they were counted.
-            recount(static, dynamic, given.maps, m, n, False)
-            sum_up(static, given.maps, m)
-        else:
-            refresh(static, dynamic, given.maps, m, n)
-            given.counted[m] = True
+        refresh(static, dynamic, given.maps, m, n)
         find_ways(static, dynamic, given.maps, given.ways, m, n)
         find_wires(static, dynamic, given.ways, m, n)
     else:
@@ -329,18 +318,12 @@ def _step(
     static: Static, dynamic: Dynamic, given: WalkState, m: int, n: int, move: int, stops: bool
 ) -> None:
     """The move of an agent, and what follows from it."""
-    asked = dynamic.games[m].asked
     move_player(static, dynamic, m, move)
     settle_agent(static, dynamic, m, n)
     if dynamic.agents[m, n].status != Status.ACTIVE and _is_whole(static, dynamic, m, n):
         given.shortest[m, n] = min(given.shortest[m, n], _length(dynamic, m, n))
     if not stops or dynamic.games[m].active > 0:
         pass_turn(static, dynamic, m)
-    if given.counted[m] and (asked or dynamic.games[m].ripped):
-        # Who has given its edges back is expected to take some again.
-        for k in range(dynamic.games[m].again):
-            member = i64(dynamic.numbers[m, static.options[Option.AGAIN] + k])
-            recount(static, dynamic, given.maps, m, member, True)
 
 
 @compiled
@@ -353,22 +336,21 @@ def _is_whole(static: Static, dynamic: Dynamic, m: int, n: int) -> bool:
 def _length(dynamic: Dynamic, m: int, n: int) -> int:
     """Edges that a net uses."""
     edges = i64(0)
-    for byte in range(dynamic.used.shape[2]):
-        bits = byte_of(dynamic.used, m, n, byte)
-        while bits != 0:
-            bits &= bits - 1
-            edges += 1
+    edge = next_in(dynamic.used, m, n, i64(0))
+    while edge != NOBODY:
+        edges += 1
+        edge = next_in(dynamic.used, m, n, edge + 1)
     return edges
 
 
 @compiled
 def _is_over(dynamic: Dynamic, m: int, n: int) -> bool:
     """Whether a net uses an edge with overflow."""
-    for byte in range(dynamic.used.shape[2]):
-        bits = byte_of(dynamic.used, m, n, byte)
-        for bit in range(8):
-            if bits >> bit & 1 and dynamic.remaining[m, 8 * byte + bit] < 0:
-                return True
+    edge = next_in(dynamic.used, m, n, i64(0))
+    while edge != NOBODY:
+        if dynamic.remaining[m, edge] < 0:
+            return True
+        edge = next_in(dynamic.used, m, n, edge + 1)
     return False
 
 

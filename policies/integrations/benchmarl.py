@@ -175,7 +175,9 @@ class Policy(Moves):
     ) -> None:
         known = Path(file).parent.parent / "config.pkl"
         with naming(known, "cannot be read"), known.open("rb"), contextlib.redirect_stdout(None):
-            experiment = Experiment.reload_from_file(file, {"loggers": [], "evaluation": False})
+            # Without ``save_folder`` the file's own folder counts, wherever it has been moved to.
+            changes = {"loggers": [], "evaluation": False, "save_folder": None}
+            experiment = Experiment.reload_from_file(file, changes)
         experiment.close()
         fits = isinstance(experiment.task, RoutingClass)
         check(file, fits, f"a checkpoint of a task of {__name__}")

@@ -4,12 +4,14 @@
 that ``learner.kind`` names, see :mod:`policies.learned.algorithms`.
 """
 
+import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from marouting.batch.prices import Negotiation
+from marouting.checks import check_fields
 from marouting.config import (
     MOST,
     Named,
@@ -94,23 +96,17 @@ class TrainOptions:
     figures: bool = True
 
     def __post_init__(self) -> None:
-        check("episodes", 1 <= self.episodes <= MOST, f"a number from 1 to {MOST}")
-        check("evaluate_every", 1 <= self.evaluate_every <= MOST, f"a number from 1 to {MOST}")
-        games, shown, steps = self.games, self.validation, self.steps
-        check("steps", steps is None or 1 <= steps <= MOST, f"a number from 1 to {MOST}")
-        check("steps", steps is None or games is not None, "null without train.games")
+        counts = dict.fromkeys(("episodes", "evaluate_every", "steps"), (1, MOST))
+        counts |= {"games": (1, 10**6), "problems": (1, 10**5), "validation": (1, 10**4)}
+        check_fields(self, threads=(1, 1024), checkpoint_seconds=(0, math.inf), **counts)
         check("seconds", self.seconds is None or self.seconds > 0, "a number above 0")
-        check("seconds", self.seconds is None or games is not None, "null without train.games")
-        check("games", games is None or 1 <= games <= 1_000_000, "a number from 1 to 1000000")
-        check("shared", games is None or self.shared, "true: games draw problems for one network")
-        kept = self.problems
-        check("problems", kept is None or 1 <= kept <= 100_000, "a number from 1 to 100000")
-        check("problems", kept is None or games is not None, "null without train.games")
-        check("validation", shown is None or 1 <= shown <= 10_000, "a number from 1 to 10000")
-        check("validation", shown is None or games is not None, "null without train.games")
+        for name in ("steps", "seconds", "problems", "validation"):
+            fits = self.games is not None or getattr(self, name) is None
+            check(name, fits, "null without train.games")
+        check(
+            "shared", self.games is None or self.shared, "true: games draw problems for one network"
+        )
         check("wandb", self.tensorboard or not self.wandb, "false without train.tensorboard")
-        check("threads", 1 <= self.threads <= 1024, "a number from 1 to 1024")
-        check("checkpoint_seconds", self.checkpoint_seconds >= 0, "a number from 0")
 
 
 @dataclass(frozen=True, kw_only=True)

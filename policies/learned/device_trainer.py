@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from marouting import InputError, Problem, Solution
-from marouting.config import check, code_named, plain
+from marouting.config import allowing_code_of, check, plain
 from marouting.cuda.env import CudaBatchEnv, unsupported
 from marouting.options import ORDERS, PLAYED
-from marouting.registry import allowing_code
 from marouting.source import ProblemStream
 from marouting.vector import BatchEnv
 from policies.learned.algorithms.ppo import IPPO, MAPPO, PPO
@@ -83,7 +82,7 @@ class DeviceTrainer:
             del env[name]
         env["turn_order"] = config.env.turn_order or ORDERS["multi"]
         source: Any = episodes
-        with allowing_code(code for _, code in code_named(config)):
+        with allowing_code_of(config):
             self.env = BatchEnv(
                 train.games or 1, problem=source, device="cuda", seed=config.seed, **env
             )

@@ -145,11 +145,6 @@ class Learner(PerNetworkState, abc.ABC):
         """Whether only moves that cross an edge are chosen: ``masking`` among the options."""
         return bool(getattr(options, "masking", False))
 
-    @classmethod
-    def schedules(cls, options: Any) -> tuple[str, ...]:  # noqa: ARG003
-        """The options whose values depend on how many episodes the whole training has."""
-        return ()
-
     @property
     def stored(self) -> NDArray[np.int64]:
         """(L,) transitions ever taken in."""

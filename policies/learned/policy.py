@@ -6,7 +6,7 @@ import os
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Annotated, Any, NotRequired, TypedDict
 
 import numpy as np
 import torch
@@ -16,7 +16,7 @@ from torch import nn
 from marouting import EnvOptions, InputError, PolicyResult, Problem, Solution, evaluate_policy
 from marouting.batch.engine import Engine
 from marouting.batch.prices import Negotiation
-from marouting.config import MOST, build, code_named, piece, plain
+from marouting.config import MOST, allowing_code_of, between, build, check, piece, plain
 from marouting.observations import has_move_order, move_order_of
 from marouting.options import ORDERS, PLAYED
 from marouting.player import Player
@@ -81,6 +81,18 @@ class Routed:
     report: dict[str, Any]
 
 
+class _Saved(TypedDict):
+    """What a file of trained networks holds beside their weights."""
+
+    names: list[str]
+    episodes: list[Annotated[int, between(0, MOST)]]
+    obs_shape: tuple[Annotated[int, between(1, MOST)], ...]
+    env: EnvOptions
+    learner: dict[str, Any]
+    negotiation: NotRequired[Negotiation | None]
+    figures: NotRequired[TrainingFigures]
+
+
 class TrainedPolicy:
     """A trained network that always takes the move that it rates highest.
 
@@ -129,26 +141,12 @@ class TrainedPolicy:
         where = os.fspath(path)
         with allowing_code(allow_code):
             state = read_checkpoint(path, training=False)
-        try:
-            names, weights = list(state["names"]), list(state["weights"])
-            episodes, obs_shape = list(state["episodes"]), tuple(state["obs_shape"])
-            if not all(type(name) is str for name in names):
-                raise ValueError("names: expected strings")
-            if not all(type(count) is int and 0 <= count <= MOST for count in episodes):
-                raise ValueError("episodes: expected whole numbers from 0")
-            if not all(type(size) is int and 0 < size <= MOST for size in obs_shape):
-                raise ValueError("obs_shape: expected whole numbers above 0")
-            env = build(EnvOptions, state["env"], f"{where}: env")
-            told = state.get("negotiation")
-            negotiation = told and build(Negotiation, told, f"{where}: negotiation")
-            training = asdict(build(TrainingFigures, state.get("figures", {}), f"{where}: figures"))
-            learner = piece("learner", state["learner"], where=f"{where}: learner")
-            if not names or len({len(names), len(weights), len(episodes)}) > 1:
-                raise ValueError(f"{len(names)} names, {len(weights)} networks")
-        except InputError:
-            raise
-        except (KeyError, TypeError, ValueError, OverflowError) as error:
-            raise InputError(f"{where}: expected a complete file of networks: {error!r}") from None
+        kept = build(_Saved, state, where)
+        names, env, obs_shape = kept["names"], kept["env"], kept["obs_shape"]
+        learner = piece("learner", kept["learner"], where=f"{where}: learner")
+        weights: Any = state.get("weights")
+        fits = isinstance(weights, list) and len(names) == len(weights) == len(kept["episodes"]) > 0
+        check(f"{where}: weights", fits, "a network for each name")
         if len(names) > 1 and name not in names:
             known = textwrap.shorten(str(names), 80)
             raise InputError(f"{where}: expected the name of a problem in {known}, found {name}")
@@ -165,8 +163,9 @@ class TrainedPolicy:
         except (InputError, RuntimeError, AttributeError, TypeError, ArithmeticError) as error:
             reason = " ".join(str(error).split())[:120]
             raise InputError(f"{where}: weights do not fit the network: {reason}") from None
-        origin = policy_origin(episodes[row])
-        return TrainedPolicy(module, masking, obs_shape, env, origin, negotiation, training)
+        origin = policy_origin(kept["episodes"][row])
+        told = kept.get("negotiation"), asdict(kept.get("figures") or TrainingFigures())
+        return TrainedPolicy(module, masking, obs_shape, env, origin, *told)
 
     def act(self, observation: NDArray[np.float32], mask: NDArray[np.int8]) -> int:
         """The best move; see :class:`policies.routers.base.Policy`."""
@@ -195,7 +194,7 @@ class TrainedPolicy:
         Raises:
             InputError: see :func:`marouting.evaluate_policy`.
         """
-        with allowing_code(code for _, code in code_named(self.env)):
+        with allowing_code_of(self.env):
             return evaluate_policy(self.moves, scenario, split, **self.options)
 
     @property

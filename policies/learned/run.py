@@ -17,7 +17,7 @@ from typing import Any
 import torch
 
 from marouting import InputError, PolicyResult, Problem, Solution
-from marouting.config import check, check_same, code_named, plain, read_yaml, yaml_text
+from marouting.config import allowing_code_of, check, check_same, plain, read_yaml, yaml_text
 from marouting.files import FILE_NAME, exists, is_file_name, naming, write_text, writing
 from marouting.generator import GeneratorOptions
 from marouting.registry import allowing_code
@@ -54,11 +54,6 @@ _FILES = (CONFIG, METRICS, EVALUATIONS, CHECKPOINT, POLICY, RESULT)
 def write_config(config: Config, path: Path) -> None:
     """Writes a whole configuration as YAML."""
     write_text(path, yaml_text(plain(config)))
-
-
-def _own_code(config: Config) -> list[str]:
-    """The code that a configuration names, which the files of its run may name too."""
-    return [name for _, name in code_named(config)]
 
 
 def _never_began(folder: Path) -> bool:
@@ -225,7 +220,7 @@ class Run:
 
     def _check_same(self) -> None:
         """A resumed run has the configuration that it started with, or more episodes."""
-        with allowing_code(_own_code(self.config)):
+        with allowing_code_of(self.config):
             kept = load_config(self.folder / CONFIG)
         had, episodes = kept.train.episodes, self.config.train.episodes
         what = f"{had}, as in {self.folder / CONFIG}, or more, found {episodes}"
@@ -239,7 +234,7 @@ class Run:
         path = self.folder / CHECKPOINT
         if not exists(path):
             return  # killed before the first checkpoint: it starts again
-        with allowing_code(_own_code(self.config)):
+        with allowing_code_of(self.config):
             state = read_checkpoint(path, training=True)
         try:
             self.trainer.load_state(state, str(path))
@@ -286,7 +281,7 @@ class Run:
         if start is None:
             return False
         told = None  # what the weights to start from learned from
-        with contextlib.suppress(InputError), allowing_code(_own_code(self.config)):
+        with contextlib.suppress(InputError), allowing_code_of(self.config):
             told = TrainedPolicy.load(start, self.trainer.names[0]).training.get("teacher")
         return told
 

@@ -9,9 +9,8 @@ from torch import Tensor, nn
 
 from marouting import InputError
 from marouting.batch.engine import Metrics
-from marouting.config import check, code_named, plain
+from marouting.config import allowing_code_of, check, plain
 from marouting.options import PLAYED
-from marouting.registry import allowing_code
 from policies.generalist import SHIPPED
 from policies.learned.checkpoint import POLICY_FORMAT
 from policies.learned.config import Config
@@ -97,7 +96,7 @@ class SavedNetworks:
         own = self._network()
         weights: list[Mapping[str, Tensor]] = []
         for name in self._names:
-            with allowing_code(code for _, code in code_named(config)):
+            with allowing_code_of(config):
                 policy = TrainedPolicy.load(path, name)
             expected, found = plain(config.env.observation), plain(policy.env.observation)
             what = f"networks that see {expected}, found {found} in {path}"

@@ -7,11 +7,12 @@ import numpy as np
 
 from marouting import Engine, Problem, Solution
 from marouting.batch.edges import has_room, uses
+from marouting.batch.places import distance
 from marouting.batch.rules import move_player, settle_player
 from marouting.batch.state import Dynamic, Static
 from marouting.game import NOBODY
 from marouting.kernels import as_index, compiled, i64
-from marouting.problem.grid import AXES, MOVES, VIA_AXIS
+from marouting.problem.grid import MOVES, VIA_AXIS
 from marouting.rules import NetOrder, Nets
 from marouting.search.guides import SearchBuffers, search_buffers, shortest_path
 from marouting.trees.decomposition import Decomposition
@@ -70,7 +71,7 @@ def _play(static: Static, dynamic: Dynamic, s: SearchBuffers, nearest: Any) -> N
     while dynamic.games[m].agent != NOBODY:
         n = as_index(dynamic.games[m].agent)
         agent = dynamic.agents[m, n]
-        here = _distance(static, i64(agent.cell), i64(agent.target))
+        here = distance(static, i64(agent.cell), i64(agent.target))
         nearest[0] = here if agent.steps == 0 else min(nearest[0], here)
         move = _nearer(static, dynamic, m, n, i64(nearest[0]))
         if move == NOBODY:
@@ -89,7 +90,7 @@ def _nearer(static: Static, dynamic: Dynamic, m: int, n: int, nearest: int) -> i
     for move in range(MOVES):
         if not has_room(static, dynamic, m, n, cell, move):
             continue
-        if _distance(static, i64(static.neighbour[cell, move]), i64(agent.target)) >= nearest:
+        if distance(static, i64(static.neighbour[cell, move]), i64(agent.target)) >= nearest:
             continue
         edge = as_index(static.edge[cell, move])
         room = i64(dynamic.remaining[m, edge])
@@ -100,12 +101,3 @@ def _nearer(static: Static, dynamic: Dynamic, m: int, n: int, nearest: int) -> i
         if room > most:
             best, most = i64(move), room
     return best
-
-
-@compiled
-def _distance(static: Static, cell: int, target: int) -> int:
-    """The Manhattan distance of two Gcells."""
-    total = i64(0)
-    for axis in range(AXES):
-        total += abs(i64(static.position[cell, axis]) - i64(static.position[target, axis]))
-    return total

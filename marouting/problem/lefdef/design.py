@@ -145,7 +145,8 @@ def _lines(
         if tile is None and own:
             inner = places(own, low, high, design.file)
         else:
-            side = tile[axis] if tile else TRACKS_PER_GCELL * _step_of_gcells(design, layers)
+            layer = layers[min(LAYER_OF_GCELLS, len(layers)) - 1]
+            side = tile[axis] if tile else TRACKS_PER_GCELL * _step(design, layer)
             if not 1 <= side <= MAX_NUMBER:
                 raise InputError(f"tile: expected sides from 1 to {MAX_NUMBER}, found {tile}")
             count = max(1, (high - low) // side)
@@ -154,11 +155,6 @@ def _lines(
             inner = low + side * np.arange(1, count, dtype=np.int64)
         found.append(np.array([low, *inner.tolist(), high]))
     return found[0], found[1]
-
-
-def _step_of_gcells(design: Design, layers: Sequence[Layer]) -> int:
-    """The distance between the tracks that size square Gcells, in the design's units."""
-    return _step(design, layers[min(LAYER_OF_GCELLS, len(layers)) - 1])
 
 
 def _step(design: Design, layer: Layer) -> int:

@@ -20,6 +20,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from marouting.checks import check_fields
 from marouting.config import MOST, Named, check, piece_field, take_pieces
 from marouting.player import Player
 from policies.learned.exploration import Exploration
@@ -27,7 +28,7 @@ from policies.learned.learner import Learner, Setup
 from policies.learned.memory.pre_step import PreStep
 from policies.learned.memory.replay import Replay
 from policies.learned.networks.adam import Adam
-from policies.learned.networks.graph import Recorded, recorder
+from policies.learned.networks.graph import CudaGraph
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,21 +78,14 @@ class DQNOptions:
 
     def __post_init__(self) -> None:
         take_pieces(self)
-        check("gamma", 0 <= self.gamma <= 1, "a number from 0 to 1")
+        shares = dict.fromkeys(("gamma", "epsilon", "epsilon_final"), (0, 1))
+        counts = dict.fromkeys(("burn_in_size", "buffer_size", "steps_per_update"), (1, MOST))
+        counts |= dict.fromkeys(("epsilon_decay_from", "target_period"), (0, MOST))
+        check_fields(self, batch_size=(1, 65536), **shares, **counts)
         check("learning_rate", self.learning_rate > 0, "a number above 0")
-        check("batch_size", 1 <= self.batch_size <= 65536, "a number from 1 to 65536")
-        check("burn_in_size", self.burn_in_size >= 1, "a number from 1")
         check("buffer_size", self.buffer_size >= self.burn_in_size, "at least burn_in_size")
-        check("buffer_size", self.buffer_size <= MOST, f"a number up to {MOST}")
-        check("epsilon", 0 <= self.epsilon <= 1, "a number from 0 to 1")
-        final = self.epsilon if self.epsilon_final is None else self.epsilon_final
-        check("epsilon_final", 0 <= final <= 1, "a number from 0 to 1")
-        check("epsilon_decay_from", self.epsilon_decay_from >= 0, "a number from 0")
-        check("target_period", 0 <= self.target_period <= MOST, f"a number from 0 to {MOST}")
-        check("steps_per_update", 1 <= self.steps_per_update <= MOST, f"a number from 1 to {MOST}")
-        check(
-            "double", not self.double or self.target_period > 0, "false, or target_period above 0"
-        )
+        own = self.target_period > 0
+        check("double", own or not self.double, "false, or target_period above 0")
 
 
 class DQN(Learner):
@@ -157,7 +151,7 @@ class DQN(Learner):
         self._gradient = torch.empty_like(self.networks.flat)
         self._due = torch.zeros(len(self.updates), 1, device=self.device)
         self._were_due = np.zeros(len(self.updates), np.bool_)
-        self._step = Recorded(self._update, recorder(self.device))
+        self._step = CudaGraph(self._update) if self.device.type == "cuda" else self._update
 
     # --- play ---------------------------------------------------------------------------------
 
@@ -237,11 +231,6 @@ class DQN(Learner):
     def stored(self) -> NDArray[np.int64]:
         """(L,) transitions ever stored."""
         return self.memory.stored
-
-    @classmethod
-    def schedules(cls, options: DQNOptions) -> tuple[str, ...]:
-        """See :meth:`policies.learned.learner.Learner.schedules`."""
-        return () if options.epsilon_final is None else ("epsilon",)
 
     def exploration(self, episode: int) -> float:
         """The chance of a random move in an episode (counted from 0)."""

@@ -173,15 +173,7 @@ class FusedDQN(DQN):
         super().bind()
         o, flat = self.options, self.networks.flat.numpy()
         adam = self.adam
-        self._rule = StepRule(
-            o.batch_size,
-            o.gamma,
-            o.target_period,
-            o.learning_rate,
-            adam.beta1,
-            adam.beta2,
-            adam.eps,
-        )
+        self._rule = StepRule(o.batch_size, o.gamma, o.target_period, o.learning_rate, adam.eps)
         self._nets = Networks(
             sizes=np.array(self.networks.module.sizes, np.int64),
             weights=flat,

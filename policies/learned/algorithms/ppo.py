@@ -15,6 +15,7 @@ Deviations from the papers and from CleanRL's implementation:
   of the learning rate.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
@@ -24,6 +25,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from marouting.checks import check_fields
 from marouting.config import MOST, Named, check, piece_field, take_pieces
 from marouting.game import Ending
 from marouting.observations import state_of
@@ -81,19 +83,13 @@ class PPOOptions:
 
     def __post_init__(self) -> None:
         take_pieces(self)
-        check("num_envs", 1 <= self.num_envs <= 65536, "a number from 1 to 65536")
-        check("gamma", 0 <= self.gamma <= 1, "a number from 0 to 1")
-        check("gae_lambda", 0 <= self.gae_lambda <= 1, "a number from 0 to 1")
-        check("learning_rate", self.learning_rate > 0, "a number above 0")
-        check("minibatch", 2 <= self.minibatch <= MOST, f"a number from 2 to {MOST}")
-        whole = 1 <= self.rollout <= LONGEST and self.rollout % self.minibatch == 0
-        expected = f"a multiple of minibatch, {self.minibatch}, up to {LONGEST}"
-        check("rollout", whole, expected)
-        check("epochs", 1 <= self.epochs <= 1000, "a number from 1 to 1000")
-        check("clip", self.clip > 0, "a number above 0")
-        check("entropy", self.entropy >= 0, "a number from 0")
-        check("reward_scale", self.reward_scale > 0, "a number above 0")
-        check("max_gradient", self.max_gradient > 0, "a number above 0")
+        bounds = dict.fromkeys(("gamma", "gae_lambda"), (0, 1))
+        bounds |= {"num_envs": (1, 65536), "minibatch": (2, MOST), "epochs": (1, 1000)}
+        check_fields(self, entropy=(0, math.inf), rollout=(1, LONGEST), **bounds)
+        what = f"a multiple of minibatch, {self.minibatch}, up to {LONGEST}"
+        check("rollout", self.rollout % self.minibatch == 0, what)
+        for name in ("learning_rate", "clip", "reward_scale", "max_gradient"):
+            check(name, getattr(self, name) > 0, "a number above 0")
 
 
 class PPO(Learner):
@@ -145,11 +141,6 @@ class PPO(Learner):
     def limits(self) -> dict[str, tuple[float, float]]:
         """See :meth:`.PerNetworkState.limits`."""
         return {**super().limits(), "progress": (0.0, 1.0)}
-
-    @classmethod
-    def schedules(cls, options: PPOOptions) -> tuple[str, ...]:
-        """See :meth:`policies.learned.learner.Learner.schedules`."""
-        return ("learning_rate",) * options.anneal
 
     def set_episodes(self, episodes: NDArray[np.int64]) -> None:
         """See :meth:`policies.learned.learner.Learner.set_episodes`."""

@@ -14,6 +14,7 @@ from marouting.kernels import allocating, compiled
 from policies.learned.compiled.products import product, product_row
 from policies.learned.counter_rng import uniform
 from policies.learned.memory.replay import GOES_ON, MASK, MOVE, REWARD
+from policies.learned.networks.adam import BETA1, BETA2
 
 NO_FLOOR = np.float32(-np.inf)
 """The floor of a product that has none."""
@@ -26,9 +27,7 @@ class StepRule(NamedTuple):
     gamma: float  # discount factor
     target_period: int  # steps between copies to the target network; 0: there is none
     learning_rate: float
-    beta1: float  # of Adam
-    beta2: float
-    eps: float
+    eps: float  # of Adam
 
 
 class Networks(NamedTuple):
@@ -143,11 +142,11 @@ def _backward(sizes: Any, weights: Any, batch: int, b: GradientBuffers) -> None:
 
 @compiled
 def _adam(weights: Any, gradient: Any, mean: Any, square: Any, step: int, rule: StepRule) -> None:
-    second = np.sqrt(1 - rule.beta2**step)
-    rate = np.float32(rule.learning_rate * second / (1 - rule.beta1**step))
+    second = np.sqrt(1 - BETA2**step)
+    rate = np.float32(rule.learning_rate * second / (1 - BETA1**step))
     eps = np.float32(rule.eps * second)
-    keep1, keep2 = np.float32(rule.beta1), np.float32(rule.beta2)
-    take1, take2 = np.float32(1 - rule.beta1), np.float32(1 - rule.beta2)
+    keep1, keep2 = np.float32(BETA1), np.float32(BETA2)
+    take1, take2 = np.float32(1 - BETA1), np.float32(1 - BETA2)
     for p in range(len(weights)):
         g = gradient[p]
         mean[p] = keep1 * mean[p] + take1 * g

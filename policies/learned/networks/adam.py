@@ -8,6 +8,9 @@ from torch import Tensor
 from policies.learned.checkpoint import FINITE
 from policies.learned.per_network import COUNT, PerNetworkState
 
+BETA1, BETA2 = 0.9, 0.999
+"""How much of the mean gradient, and of the mean square, remains with each step."""
+
 _NOTHING = 1e-18
 """A gradient too small to matter."""
 
@@ -21,8 +24,6 @@ class Adam(PerNetworkState):
     Args:
         weights: (L, P), as those to be optimised.
         eps: added to the divisor.
-        beta1: how much of the mean gradient remains with each step.
-        beta2: how much of the mean square remains.
 
     Attributes:
         mean: (L, P) mean of the gradients.
@@ -32,10 +33,8 @@ class Adam(PerNetworkState):
 
     rows = ("mean", "square", "count")
 
-    def __init__(
-        self, weights: Tensor, eps: float = 1e-8, beta1: float = 0.9, beta2: float = 0.999
-    ) -> None:
-        self.eps, self.beta1, self.beta2 = eps, beta1, beta2
+    def __init__(self, weights: Tensor, eps: float = 1e-8) -> None:
+        self.eps = eps
         self.mean, self.square = torch.zeros_like(weights), torch.zeros_like(weights)
         self.count = torch.zeros(len(weights), dtype=torch.int64, device=weights.device)
         self.bind()
@@ -57,27 +56,27 @@ class Adam(PerNetworkState):
         return part
 
     @torch.no_grad()
-    def step(self, weights: Tensor, gradient: Tensor, due: Tensor, rate: float | Tensor) -> None:
+    def step(self, weights: Tensor, gradient: Tensor, due: Tensor, rate: float) -> None:
         """One step of the networks that are due.
 
         Args:
             weights: (L, P); changed.
             gradient: (L, P).
             due: (L, 1) float32, 1 for a network that takes the step, else 0.
-            rate: the learning rate; or (L, 1), one per network.
+            rate: the learning rate.
         """
         work = self._work
         self.count += due[:, 0].long()
         # The corrections for averages that start at 0 go into the rate and into eps.
         count = self.count.clamp(min=1).double()[:, None]
-        second = (1 - self.beta2**count).sqrt()
-        rate = due * (rate * second / (1 - self.beta1**count)).float()
-        self.mean.lerp_(gradient, (1 - self.beta1) * due)
-        self.square.lerp_(torch.square(gradient, out=work), (1 - self.beta2) * due)
+        second = (1 - BETA2**count).sqrt()
+        rates = due * (rate * second / (1 - BETA1**count)).float()
+        self.mean.lerp_(gradient, (1 - BETA1) * due)
+        self.square.lerp_(torch.square(gradient, out=work), (1 - BETA2) * due)
         # The averages of a unit that is never active fade to numbers so small that the processor
         # takes a hundred times as long with them; MKL's root of 0 is slow too. Beside eps neither
         # makes a difference.
         torch.hardshrink(self.mean, _NOTHING, out=self.mean)
         self.square.clamp_(min=_NOTHING**2)
         torch.sqrt(self.square, out=work).add_((self.eps * second).float())
-        weights.sub_(torch.div(self.mean, work, out=work).mul_(rate))
+        weights.sub_(torch.div(self.mean, work, out=work).mul_(rates))
