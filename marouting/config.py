@@ -741,7 +741,11 @@ def override(raw: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]
     Args:
         raw: plain data, as from YAML.
         overrides: ``key=value``, with dots between the parts of a key and the value as in YAML. A
-            mapping replaces the whole of one.
+            mapping replaces the whole of one. The name of a piece and its keys go together:
+            ``reward=paper reward.step=-1``, in either order.
+
+    Raises:
+        InputError: a text is not such, or a key has both a value and keys of its own.
     """
     changed, given = dict(raw), dict[str, Any]()
     for text in overrides:
@@ -752,9 +756,17 @@ def override(raw: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]
         *parts, last = key.split(".")
         place = given
         for part in parts:
-            if not isinstance(place.get(part), dict):
-                place[part] = {}
-            place = place[part]
+            inner = place.get(part, {})
+            if isinstance(inner, str) and part in KINDS:
+                inner = {"kind": inner}
+            check(text, isinstance(inner, dict), f"no value for {part} beside its keys")
+            place[part] = place = inner
+        before = place.get(last)
+        if isinstance(before, dict) and isinstance(value, str) and last in KINDS:
+            value = {**before, "kind": value}
+        elif isinstance(before, dict) and before:
+            what = f"a mapping, or no keys of {last} beside it"
+            check(text, isinstance(value, Mapping), what)
         place[last] = value
         if isinstance(value, Mapping):
             alone: dict[str, Any] = {last: None}
