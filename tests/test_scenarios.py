@@ -1072,6 +1072,11 @@ def test_the_best_local_rule_of_a_scenario_in_a_module(
         assert "lanes-v0: best local rule: expected one that costs more than" in ran.output
 
 
+def test_policies_play_scenarios_of_modules(lanes: str) -> None:
+    with importing_from(Path.cwd()):
+        assert evaluate_policy(first_free, lanes).problems == 3
+
+
 def test_scenarios_of_modules_in_python(lanes: str) -> None:
     with importing_from(Path.cwd()):
         env = global_routing_v0.parallel_env(scenario=lanes)
