@@ -533,6 +533,9 @@ def _record(kind: Any, value: Any) -> Any:
         for key in value:
             if key not in hints:
                 raise InputError(unknown_key(str(key), list(hints)))
+        for f in fields(kind):
+            none = f.name in value and value[f.name] is None
+            check(f.name, not ("kind" in f.metadata and none), f"{_PIECE}, found null")
     for name in required:
         if name not in value:
             raise InputError(f"{name}: expected a value, found none")
@@ -590,6 +593,8 @@ def _shown(value: Any) -> str:
 
 
 # --- pieces ---------------------------------------------------------------------------------------
+
+_PIECE = "a name or a mapping with kind"
 
 _CONTEXT = {"network": 2, "learner": 1}
 """The number of arguments that the constructor of a piece gets before its options."""
@@ -653,18 +658,21 @@ def piece(kind: str, raw: Any, default: str | None = None, where: str = "") -> C
     if isinstance(raw, Component):
         return raw
     if isinstance(raw, bool | int | float | list | tuple | type):
-        raise InputError(f"{_prefix(where)}expected a name or a mapping with kind, found {raw!r}")
+        raise InputError(f"{_prefix(where)}expected {_PIECE}, found {raw!r}")
     if raw is not None and not isinstance(raw, str | Mapping):
         return Component(kind, name_of(kind, type(raw)), type(raw), raw, given=True)
     plainly: dict[str, Any] = {"kind": raw} if isinstance(raw, str) else dict(raw or {})
-    name = plainly.pop("kind", None) or default or names(kind)[0]
-    if not isinstance(name, str):
-        raise InputError(f"{_prefix(where)}kind: expected a name, found {name!r}")
+    name = plainly.pop("kind", default or names(kind)[0])
+    if not isinstance(name, str) or not name:
+        raise under(where, InputError(f"kind: expected a name, found {name!r}"))
     cls = lookup(kind, name, where)
     schema, varied = _options_of(kind, cast(Any, cls))
     known = [f.name for f in fields(schema)]
     others = {key: plainly.pop(key) for key in list(plainly) if varied and key not in known}
     try:
+        for key in plainly:
+            if key not in known:
+                raise InputError(unknown_key(str(key), known, f"the {kind} {name}"))
         options = build(schema, plainly)
     except InputError as error:
         raise under(where, error) from None
@@ -747,7 +755,11 @@ def override(raw: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]
     Args:
         raw: plain data, as from YAML.
         overrides: ``key=value``, with dots between the parts of a key and the value as in YAML. A
-            mapping replaces the whole of one.
+            mapping replaces the whole of one. The name of a piece and its keys go together:
+            ``reward=paper reward.step=-1``, in either order.
+
+    Raises:
+        InputError: a text is not such, or a key has both a value and keys of its own.
     """
     changed, given = dict(raw), dict[str, Any]()
     for text in overrides:
@@ -758,9 +770,17 @@ def override(raw: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]
         *parts, last = key.split(".")
         place = given
         for part in parts:
-            if not isinstance(place.get(part), dict):
-                place[part] = {}
-            place = place[part]
+            inner = place.get(part, {})
+            if isinstance(inner, str) and part in KINDS:
+                inner = {"kind": inner}
+            check(text, isinstance(inner, dict), f"no value for {part} beside its keys")
+            place[part] = place = inner
+        before = place.get(last)
+        if isinstance(before, dict) and isinstance(value, str) and last in KINDS:
+            value = {**before, "kind": value}
+        elif isinstance(before, dict) and before:
+            what = f"a mapping, or no keys of {last} beside it"
+            check(text, isinstance(value, Mapping), what)
         place[last] = value
         if isinstance(value, Mapping):
             alone: dict[str, Any] = {last: None}
@@ -842,8 +862,8 @@ REMOVED = {
 """Keys that version 0.3 removed without a replacement, and what they were for."""
 
 
-def unknown_key(key: str, known: Sequence[str]) -> str:
-    """The message about a key that is not one of those known."""
+def unknown_key(key: str, known: Sequence[str], of: str = "") -> str:
+    """The message about a key that is not one of those known, perhaps of a piece."""
     name = key.rpartition(".")[2]
     new = RENAMED.get(name)
     if new and (new == _PRICES or new.partition(":")[0] in known):
@@ -853,6 +873,6 @@ def unknown_key(key: str, known: Sequence[str]) -> str:
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
     # What follows must not lie in the middle of a long message, which is left out.
     listed = textwrap.shorten(", ".join(known), _LISTED, placeholder=" …")
-    listed = f"one of {listed}" if known else "none"
+    listed = (f"one of {listed}" if known else "none") + (f" for {of}" if of else "")
     expected = f"did you mean {close[0]}?" if close else f"expected {listed}"
     return f"{key}: unknown key; {expected}"

@@ -17,9 +17,10 @@ from marouting.batch.locality import check_local
 from marouting.config import check, plain
 from marouting.errors import InputError
 from marouting.options import ORDERS, game_options
+from marouting.problem.net import is_whole
 from marouting.problem.solution import evaluate
 from marouting.rules import Rules
-from marouting.scenarios import Reference, Scenario, Split, get
+from marouting.scenarios import Reference, Scenario, Split, get, load
 from marouting.scenarios.score import Figures, score
 from marouting.search.astar import sequential_astar
 from marouting.vector import BatchEnv
@@ -145,8 +146,8 @@ def evaluate_policy(
         threads: among which the games are divided.
         **options: of the environment (:class:`marouting.options.GameOptions`), such as the
             observation that the policy is made for. The defaults are what the scenario suggests. In
-            the scenarios of policies (docs/cooperation.md) the rules of the game must be these, but
-            for ``wait`` and ``message_bits``.
+            the scenarios of policies (docs/cooperation.md) the rules must be those that the
+            scenario suggests; only ``wait`` and ``message_bits`` may differ.
 
     Returns:
         The figures of the leaderboard, for the split and for each problem.
@@ -171,9 +172,14 @@ def play_split(
 ) -> BatchEnv:
     """The games of :func:`evaluate_policy`, at their end."""
     check("policy", callable(policy), f"a function of observations and masks, found {policy!r}")
+    whole = is_whole(local) and local >= 0
+    what = f"true, false or a number of Gcells from 0, found {local!r}"
+    check("local", whole or isinstance(local, bool), what)
     given: dict[str, Any] = {**options, "scenario": scenario, "split": split}
-    _ = get(scenario).problems(split)  # or an error
+    _ = load(scenario).problems(split)  # or an error
     game = game_options(given)
+    given["mask"] = {"visited": game.mask.visited}  # the rest is of other interfaces
+    _ = given.pop("render_mode", None)
     agents = given.pop("agents", "multi")
     if get(scenario).has_local_rule(split):
         check_rules(game, scenario)
@@ -260,6 +266,8 @@ def play(policy: Policy, env: BatchEnv) -> Mapping[str, Any]:
             moves = np.asarray(chosen)
         except ValueError:  # lists of different lengths
             moves = np.asarray(chosen, object)
+        except RuntimeError as error:  # PyTorch's, of a tensor with a gradient
+            raise InputError(f"policy: expected actions that NumPy can read: {error}") from None
         if moves.shape != (active.sum(),) or moves.dtype.kind not in "iu":
             expected = f"({active.sum()},) integers, one for each observation"
             raise InputError(f"policy: expected {expected}, found {moves.dtype} {moves.shape}")

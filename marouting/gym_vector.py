@@ -15,11 +15,12 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from marouting.config import check
-from marouting.env.base import METADATA
+from marouting.env.base import METADATA, ONE_PLAYER
 from marouting.game import NOBODY
 from marouting.options import game_options
+from marouting.problem.net import is_whole
 from marouting.render import ansi, rgb_array, scene_of
-from marouting.source import OwnProblemSampler, Source
+from marouting.source import MOST_PROBLEMS, OwnProblemSampler, Source
 from marouting.vector import BatchEnv, Info
 
 
@@ -65,11 +66,14 @@ class GlobalRoutingVector(VectorEnv[Any, Any, Any]):
         rules = {key: value for key, value in options.items() if key not in ("threads", "seed")}
         self._options = game_options({**rules, "render_mode": render_mode}, "single")
         self._mask = self._options.mask
-        check("agents_persist", not self._options.agents_persist, "false: only one player")
+        check("agents_persist", not self._options.agents_persist, ONE_PLAYER)
+        whole = is_whole(num_envs) and 1 <= num_envs <= MOST_PROBLEMS
+        check("num_envs", whole, f"a whole number from 1 to {MOST_PROBLEMS}, found {num_envs!r}")
         check("render_mode", render_mode != "human", "ansi, rgb_array or None, for many games")
         problem = self._options.problem if problem is None else problem
         self._observation = self._options.observation.make()
         options["observation"] = self._observation
+        options["mask"] = {"visited": self._mask.visited}
         restarts = self._mode is AutoresetMode.NEXT_STEP
         self._batch = _Games(
             num_envs, problem=problem, everyone=False, autoreset=restarts, **options

@@ -9,7 +9,7 @@ from marouting.errors import UnknownOption
 from marouting.generator import GeneratorOptions
 from marouting.problem.controls import ProblemFile
 from marouting.rules import Rules, TurnOrder
-from marouting.scenarios import Split, load, names
+from marouting.scenarios import Scenario, Split, load, names
 
 Agents = Literal["single", "multi"]
 RenderMode = Literal["ansi", "rgb_array", "human"]
@@ -125,6 +125,7 @@ class EnvOptions(GameOptions):
 def with_suggestions(options: Mapping[str, Any]) -> dict[str, Any]:
     """Options as plain data; those that are not given are the scenario's suggestions."""
     scenario = options.get("scenario")
+    check("scenario", not isinstance(scenario, Scenario), f"a name, found the object {scenario!r}")
     if isinstance(scenario, str) and (scenario in names() or ":" in scenario):
         return merged(load(scenario).env, options)
     return dict(options)

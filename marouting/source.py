@@ -38,6 +38,9 @@ of files and folders; None: a small problem."""
 Checked = tuple[Problem, ...] | GeneratorOptions | ProblemFile | tuple[str, ...]
 """A source that has been checked."""
 
+OTHER_GAME = "saved: expected the state of a game with this problem and options"
+"""The message where a saved state is restored into another environment."""
+
 AHEAD = 1024  # problems of a stream without end that are drawn ahead
 MOST_PROBLEMS = 10_000  # the most problems that an environment keeps
 
@@ -226,6 +229,12 @@ class ProblemStream:
         """Whether every episode has a new problem."""
         return self._drawn is not None
 
+    @property
+    def identity(self) -> tuple[Any, ...]:
+        """What is equal for the same problems."""
+        drawn = self._drawn.name if isinstance(self._drawn, Scenario) else self._drawn
+        return drawn, self.held_out, self.most, *self.problems.values()
+
     def number(self, rng: np.random.Generator) -> int:
         """Draws the number of a problem."""
         if self._drawn is not None:
@@ -285,7 +294,7 @@ class ProblemSampler:
         whole = is_whole(games) and 1 <= games <= MOST_PROBLEMS
         check("number of games", whole, f"1 to {MOST_PROBLEMS}, found {games!r}")
         self.episodes = episodes
-        self.seeds = np.full(games, _checked_seed(seed), object)
+        self.seeds = np.full(games, checked_seed(seed), object)
         self.counts = np.zeros(games, np.int64)
         self._games = np.arange(games)
         self._numbers = np.array([self._number(m) for m in range(games)])
@@ -304,7 +313,7 @@ class ProblemSampler:
         """Begins with other seeds and first episodes in games ``which`` (M,) that are given one."""
         for m in np.flatnonzero(which).tolist():
             if seeds[m] is not None:
-                self.seeds[m], self.counts[m] = _checked_seed(seeds[m]), 0
+                self.seeds[m], self.counts[m] = checked_seed(seeds[m]), 0
 
     def go_to(
         self, counts: NDArray[np.integer], seeds: NDArray[np.object_] | None = None
@@ -365,6 +374,7 @@ class OwnProblemSampler(ProblemSampler):
         return number
 
 
-def _checked_seed(seed: Any) -> int:
+def checked_seed(seed: Any) -> int:
+    """A seed as an int; raises InputError for all but a whole number from 0."""
     check("seed", is_whole(seed) and seed >= 0, f"a whole number from 0, found {seed!r}")
     return int(seed)

@@ -8,7 +8,8 @@ import os
 import pkgutil
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, ClassVar, cast
+from dataclasses import fields
+from typing import Any, ClassVar, NamedTuple, cast
 
 import numpy as np
 from gymnasium.error import ResetNeeded
@@ -24,12 +25,21 @@ from marouting.options import GameOptions, game_options
 from marouting.player import Player, Saved, StepBuffers
 from marouting.problem.net import is_whole
 from marouting.problem.problem import Problem
+from marouting.rules import Mask, Rules
 from marouting.scenarios import get
-from marouting.source import ProblemSampler, ProblemStream, Source
+from marouting.source import OTHER_GAME, ProblemSampler, ProblemStream, Source, checked_seed
 
 FIGURES = ("overflow", "wirelength", "joined", "steps")
 
 Info = dict[str, Any]
+
+
+class SavedBatch(NamedTuple):
+    """A saved state of a :class:`BatchEnv`."""
+
+    identity: tuple[Any, ...]  # equal for games with the same problems and options
+    games: list[Saved]
+
 
 _ON_CUDA = "marouting.cuda.env:CudaBatchEnv"
 """By name, because that class derives from :class:`BatchEnv`."""
@@ -135,9 +145,11 @@ class BatchEnv(EzPickle):
         check("device", device == "cpu", f"cpu for the class {kind}, found {device!r}")
         if not (is_whole(threads) and threads >= 1):
             raise InputError(f"threads: expected a whole number from 1, found {threads!r}")
-        checked = game_options(options, "multi" if everyone else "single")
+        checked_seed(seed)
+        checked = batch_options(options, everyone, autoreset, play_once)
         self._persists = checked.agents_persist
-        check("agents_persist", everyone or not self._persists, "false: only one row")
+        what = "false with everyone=False, because only one agent has a row"
+        check("agents_persist", everyone or not self._persists, what)
         once = not play_once or not is_whole(problems)
         check("play_once", once, "false: these games draw their problems")
         episodes = drawn_from(problems, problem, checked)
@@ -178,6 +190,10 @@ class BatchEnv(EzPickle):
             )
             for part in map(slice, cuts, cuts[1:])
         ]
+        rules = Rules(**{field.name: getattr(checked, field.name) for field in fields(Rules)})
+        played = episodes.identity if episodes else (*engine.problems,)
+        shape = self._buffers.obs.shape
+        self._identity = (kind, everyone, self._persists, rules, shape, cuts, played)
         self._begun = False
         self._start_threads()
 
@@ -237,6 +253,8 @@ class BatchEnv(EzPickle):
         seeds = list(cast(Sequence[int | None], seed if listed else [seed] * self.num_problems))
         if len(seeds) != self.num_problems:
             raise ValueError(f"seed: expected one, or {self.num_problems} of them, found {seed}")
+        for one in seeds:
+            checked_seed(0 if one is None else one)
         which = np.asarray((options or {}).get("reset_mask", np.ones(self.num_problems, np.bool_)))
         which = which if self._begun else np.ones_like(which)
         if which.shape != (self.num_problems,) or which.dtype != np.bool_:
@@ -321,21 +339,23 @@ class BatchEnv(EzPickle):
 
     def __getstate__(self) -> dict[str, Any]:
         """The constructor's arguments and the present state, from which a copy continues."""
-        return {**super().__getstate__(), "saved": self.save(), "begun": self._begun}
+        return {**super().__getstate__(), "saved": self.save().games, "begun": self._begun}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Makes the environment again and restores the state."""
         super().__setstate__(state)
-        self.restore(state["saved"])
+        self.restore(SavedBatch(self._identity, state["saved"]))
         self._begun = state["begun"]
 
-    def save(self) -> list[Saved]:
+    def save(self) -> SavedBatch:
         """A copy of the state of all games, for :meth:`restore`."""
-        return [player.save() for player in self._players]
+        return SavedBatch(self._identity, [player.save() for player in self._players])
 
-    def restore(self, saved: list[Saved]) -> None:
-        """Puts all games back into a saved state; raises ValueError if its shapes do not fit."""
-        for player, kept in zip(self._players, saved, strict=True):
+    def restore(self, saved: SavedBatch) -> None:
+        """Puts all games back into a saved state; raises ValueError if it is of other games."""
+        if not isinstance(saved, SavedBatch) or saved.identity != self._identity:
+            raise ValueError(OTHER_GAME)
+        for player, kept in zip(self._players, saved.games, strict=True):
             player.restore(kept)
         self._begun = True
 
@@ -368,6 +388,21 @@ def info_of(b: StepBuffers, now: Callable[[str], Any], final: Callable[[str], An
     }
 
 
+def batch_options(
+    options: Mapping[str, Any], everyone: bool, autoreset: bool, play_once: bool
+) -> GameOptions:
+    """Checks the options of a batch, which has neither pictures nor keys of observations."""
+    switches = {"everyone": everyone, "autoreset": autoreset, "play_once": play_once}
+    for name, value in switches.items():
+        check(name, isinstance(value, bool | np.bool_), f"true or false, found {value!r}")
+    checked = game_options(options, "multi" if everyone else "single")
+    check("render_mode", options.get("render_mode") is None, "null: a batch draws no pictures")
+    mask = checked.mask if options.get("mask") is not None else Mask()
+    what = 'no key but visited: a batch gives its masks as info["action_mask"]'
+    check("mask", mask == Mask(visited=mask.visited), what)
+    return checked
+
+
 def drawn_from(
     problems: Sequence[Problem] | int | None, source: Source, options: GameOptions
 ) -> ProblemStream | None:
@@ -385,12 +420,12 @@ def fixed_batch(
     problems: Sequence[Problem] | int | None, options: GameOptions
 ) -> Sequence[Problem]:
     """The problems of a batch that stay; see :class:`BatchEnv`."""
-    found = "None" if problems is None else "a list"
+    listed = isinstance(problems, Sequence) and not isinstance(problems, str)
+    found = "a list" if listed else repr(problems)
     if options.scenario is None:
         what = f"a list of problems, or a scenario; found {found}"
         check("problems", problems is not None, what)
         what = "a list of Problem objects (problem= takes files, folders and generators)"
-        listed = isinstance(problems, Sequence) and not isinstance(problems, str)
         for item in cast(Sequence[Problem], problems) if listed else (problems,):
             check("problems", listed and isinstance(item, Problem), f"{what}; found {item!r}")
         return cast(Sequence[Problem], problems)

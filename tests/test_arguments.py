@@ -20,6 +20,7 @@ from marouting import (
     global_routing_v0,
 )
 from marouting.generator import GeneratorOptions, Least
+from marouting.gym_vector import GlobalRoutingVector
 from marouting.problem.net import Adjustment
 from marouting.rewards import MixedReward
 from marouting.vector import BatchEnv
@@ -131,6 +132,24 @@ def test_masks_and_observations_are_those_of_agents(problems: Any, agents: Any) 
             r"a list of Problem objects \(problem= .*; found 'a.gr'",
         ),
         (lambda: BatchEnv([PROBLEM], threads=1.5), "threads: expected a whole number from 1"),
+        (lambda: BatchEnv([PROBLEM], autoreset="no"), "autoreset: expected true or false, found"),
+        (lambda: BatchEnv([PROBLEM], play_once="no"), "play_once: expected true or false, found"),
+        (lambda: BatchEnv([PROBLEM], everyone="no"), "everyone: expected true or false, found"),
+        (lambda: BatchEnv([PROBLEM], render_mode="human"), "render_mode: expected null: a batch"),
+        (
+            lambda: BatchEnv([PROBLEM], mask={"in_observation": True}),
+            "mask: expected no key but visited",
+        ),
+        (lambda: BatchEnv([PROBLEM], mask={"mask_key": "m"}), "mask: expected no key but visited"),
+        (lambda: BatchEnv([PROBLEM], seed="x"), "seed: expected a whole number from 0, found 'x'"),
+        (lambda: BatchEnv([PROBLEM]).reset(seed="a"), "seed: expected a whole number from 0"),
+        (lambda: BatchEnv([PROBLEM]).reset(seed=-1), "seed: expected a whole number from 0"),
+        (lambda: BatchEnv(True, problem=PROBLEM), "problem: expected a number of games first"),
+        (lambda: BatchEnv(2.0, scenario="toy-4x4-v0"), "toy-4x4-v0, found 2.0"),
+        (
+            lambda: GlobalRoutingVector(1.5, problem=PROBLEM),
+            "num_envs: expected a whole number from 1 to 10000, found 1.5",
+        ),
         (lambda: GeneratorOptions(grid=(4.0, 4.0, 2.0)), "grid.0: expected a whole number"),
         (lambda: generate(1.5), "count: expected a whole number"),
         (lambda: generate(1, nets=2.5), "nets: expected a whole number"),

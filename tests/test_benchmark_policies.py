@@ -244,7 +244,7 @@ def test_what_is_refused(router: str, capsys: pytest.CaptureFixture[str]) -> Non
         ),
         (
             ["--scenario", "toy-4x4-v0", "--router", "own:First"],
-            r"own-First.router: expected one with a method route: policies play the scenarios of",
+            r"own-First.router: expected one with a method route, or only scenarios with a known ",
         ),
     ],
 )
@@ -373,6 +373,8 @@ def test_policies_have_a_table_of_their_own(
         f"{GATES}-curves.png",
     ]
     planners, policies = page.read_text(encoding="utf-8").split("## Policies")
+    assert f"--out {results.as_posix()} --leaderboard {page.as_posix()}` from" in planners
+    assert "in [results](results);" in planners
     assert "### toy-4x4-v0" in planners
     assert GATES not in planners
     lines = [line for line in policies.splitlines() if line.startswith("| `")]

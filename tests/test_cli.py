@@ -954,6 +954,8 @@ ILL_TYPED = [
     "learner.network.hidden=[32.5]",
     "learner.network.hidden=[65536, 65536]",
     "learner.network.init=zeros",
+    "learner.network=pathlib:Path",
+    "train.device=gpu",
     "learner.gamma=1.5",
     "learner.gamma=high",
     "learner.gamma=.nan",
@@ -992,6 +994,9 @@ ILL_TYPED = [
     "env.problem.seed=-1",
     "env.reward.reached=lots",
     "env.observation=12",
+    "env.observation=null",
+    "learner=",
+    "learner.kind=",
 ]
 
 
@@ -1352,6 +1357,24 @@ def test_an_override_changes_one_place() -> None:
     expected = {"a": {"k": 3, "l": {"m": 4}}, "b": {"k": 1, "l": {"m": 2}}}
     assert override(raw, ["a.k=3", "a.l.m=4"]) == expected
     assert raw["a"] == expected["b"]
+
+
+@pytest.mark.parametrize(
+    "overrides", [["reward=team", "reward.step=2"], ["reward.step=2", "reward=team"]]
+)
+def test_a_name_and_its_keys_go_together(overrides: list[str]) -> None:
+    expected = {"env": {"reward": {"kind": "team", "step": 2}}}
+    assert override({}, [f"env.{text}" for text in overrides]) == expected
+    raw = {"env": {"reward": {"kind": "paper", "reached": 1}}}
+    assert override(raw, [f"env.{text}" for text in overrides]) == expected
+
+
+@pytest.mark.parametrize(
+    "overrides", [["seed=3", "seed.x=4"], ["env.problem.nets=3", "env.problem=p.gr"]]
+)
+def test_a_key_has_a_value_or_keys(overrides: list[str]) -> None:
+    with pytest.raises(InputError, match=rf"^{overrides[1]}: expected "):
+        override({}, overrides)
 
 
 # A file holds no NUL. Numbers as text have to stay text.

@@ -422,4 +422,4 @@ def test_the_command() -> None:
     assert done.stdout.count("`gates-8x7-v0`") == 1
     done = CliRunner().invoke(main, ["toy-4x4-v0"])
     assert done.exit_code == 2
-    assert done.output.startswith("Error: scenario: expected one of gates-8x7-v0")
+    assert done.output.startswith("Error: scenario: expected module:NAME or one of gates")

@@ -75,7 +75,7 @@ def test_what_cannot_be_used_is_told_and_scenarios_order_turns(simulator: bool) 
         "actions: expected 0 to 5, or -1, found others",  # at the next reset
         "actions: expected integers of shape (1, 3), found float64 of shape (1, 3)",
         "actions: expected integers of shape (1, 3), found float64 of shape (1, 3)",
-        "seed: expected a whole number from 0 to 2**64 - 1, found -1",
+        "seed: expected a whole number from 0, found -1",
         "saved: expected the state of such games, found that of others",
         "problems: expected a list of problems, or a problem or scenario as well; found 1",
         "pool: expected a number from 1, found 0.5",

@@ -227,10 +227,24 @@ def test_games_that_draw_restore_only_games_that_draw() -> None:
     env = BatchEnv(2, problem=SET)
     other = BatchEnv(SET[:2])
     other.reset()
-    with pytest.raises(ValueError, match="counts: expected those of other games"):
+    with pytest.raises(ValueError, match="saved: expected the state of a game with this p"):
         env.restore(other.save())
-    with pytest.raises(ValueError, match="counts: expected those of other games"):
+    with pytest.raises(ValueError, match="saved: expected the state of a game with this p"):
         other.restore(env.save())
+
+
+def test_a_batch_restores_only_its_own_games() -> None:
+    env = BatchEnv(SET[:2])
+    env.reset()
+    games: list[Any] = [
+        BatchEnv(SET[1:3]), BatchEnv(SET[:2], max_steps=9), BatchEnv(SET[:2], everyone=False),
+        BatchEnv(SET[:2], observation="window"), BatchEnv(SET[:2], threads=2),
+    ]  # fmt: skip
+    for saved in (*(other.save() for other in games), [1], None):
+        with pytest.raises(ValueError, match="saved: expected the state of a game with this p"):
+            env.restore(saved)
+    twin = BatchEnv(pickle.loads(pickle.dumps(SET[:2])))
+    twin.restore(env.save())
 
 
 # --- the engine -----------------------------------------------------------------------------------

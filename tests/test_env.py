@@ -530,6 +530,22 @@ def test_copies_in_mid_episode_go_on(
     assert rest_of_episode(env, 2) == expected
 
 
+def test_states_of_other_games_are_refused() -> None:
+    problem, other = generate(2, nets=3)
+    env = global_routing_v0.env(problem=problem).unwrapped
+    parallel = global_routing_v0.parallel_env(problem=problem)
+    for one in (env, parallel):
+        one.reset()
+    for saved in (
+        parallel.save(),
+        global_routing_v0.env(problem=other).unwrapped.save(),
+        global_routing_v0.env(problem=problem, max_steps=9).unwrapped.save(),
+        [1],
+    ):
+        with pytest.raises(ValueError, match="saved: expected the state of a game with this prob"):
+            env.restore(saved)
+
+
 # Rewards and other pieces ------------------------------------------------------------------------
 
 # Four Gcells in a row, two layers, capacity 1. Net A has three pins, net B two, "dot" nothing.

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from numpy.typing import NDArray
 
 from marouting import InputError, PaperObservation, evaluate, evaluate_policy, scenarios
@@ -143,6 +144,13 @@ def test_what_is_refused() -> None:
     assert evaluate_policy(first, toy, "validation", local=0, **options).problems == 20
     with pytest.raises(InputError, match=r"local_radius: expected at most 2, found 3"):
         evaluate_policy(first, "gates-8x7-v0", "validation", local=2)
+    for local in (-1, "x", None):
+        with pytest.raises(InputError, match="local: expected true, false or a number of Gcells"):
+            evaluate_policy(first, toy, "validation", local=local)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="split: expected validation or test, found 'tests'"):
+        evaluate_policy(first, toy, "tests")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="policy: expected actions that NumPy can read: Can't"):
+        evaluate_policy(lambda obs, _: torch.ones(len(obs), requires_grad=True), toy)
     options["observation"] = Liar()
     with pytest.raises(InputError, match=r"Liar.local_radius: expected that agents see no furth"):
         evaluate_policy(first, toy, "validation", local=True, **options)

@@ -132,7 +132,7 @@ def test_pettingzoo_accepts_agents_that_stay() -> None:
 def test_where_there_is_nobody_to_stay() -> None:
     with pytest.raises(InputError, match="agents_persist: expected false"):
         GlobalRoutingSingle(PROBLEM, agents_persist=True)
-    with pytest.raises(InputError, match="agents_persist: expected false: only one row"):
+    with pytest.raises(InputError, match="agents_persist: expected false with everyone=False"):
         BatchEnv([PROBLEM], agents_persist=True, everyone=False)
 
 

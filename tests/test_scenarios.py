@@ -51,6 +51,7 @@ from marouting.scenarios.references import Best, path_of, read_references, refer
 from marouting.source import load_problem
 from marouting.vector import BatchEnv
 from policies.cli.main import status
+from policies.experiment import anarchy
 from policies.experiment.leaderboard import read_groups
 from policies.experiment.references import (
     Effort,
@@ -303,9 +304,9 @@ def test_levels_for_policies_hold_mirror_images_out(name: str) -> None:
 def test_a_scenario_with_too_few_problems_is_refused() -> None:
     scenario = one_net(5, 10)
     assert len({digest(p) for p in (*scenario.validation, *scenario.test)}) == 15
-    with pytest.raises(InputError, match=r"^one-net-v0: .* fits within 1000 .* found 1000 that"):
+    with pytest.raises(InputError, match=r"^one-net-v0: .* that fit: 1000 of 1000 draws equal"):
         next(scenario.train(0))
-    with pytest.raises(InputError, match="one-net-v0: expected a problem"):
+    with pytest.raises(InputError, match="one-net-v0: the generator draws too few"):
         _ = one_net(16).validation
 
 
@@ -871,7 +872,7 @@ def test_training_problems_are_no_larger_than_the_fixed_ones() -> None:
 @pytest.mark.usefixtures("own")
 def test_what_own_scenarios_are_refused() -> None:
     for name in ("toy-4x4-v0", "", 3):
-        with pytest.raises(InputError, match=r"^name: expected one that no scenario of the pack"):
+        with pytest.raises(InputError, match=r"^name: expected a(nother one: the p| text, found)"):
             scenarios.register(name, corridor)  # type: ignore[arg-type]
     again = scenarios.register("corridor-v0", corridor, test=2)
     assert scenarios.get("corridor-v0") is again
@@ -879,12 +880,38 @@ def test_what_own_scenarios_are_refused() -> None:
     def growing(rng: np.random.Generator) -> Problem:
         return Field(int(rng.integers(3, 99)), 4).net((0, 0), (1, 1)).problem()
 
-    with pytest.raises(InputError, match=r"^none-v0: .* found 0 that .* and 1000 that accept ref"):
+    with pytest.raises(InputError, match=r"^none-v0: .* 0 of 1000 draws .* and 1000 are refuse"):
         _ = Scenario("none-v0", corridor, accept=lambda _: False).test
     with pytest.raises(InputError, match=r"^three-v0: generator: expected a Problem, found 3"):
         _ = Scenario("three-v0", lambda _: 3).test  # type: ignore[arg-type, return-value]
+    with pytest.raises(InputError, match=r"^large-v0: largest: expected a Problem, found None"):
+        _ = Scenario("large-v0", corridor, largest=lambda: None).grid  # type: ignore[arg-type,return-value]
+    for call in (scenarios.get, lambda found: global_routing_v0.parallel_env(scenario=found)):
+        with pytest.raises(InputError, match=r"^scenario: expected a name, found the object Scen"):
+            call(again)
     with pytest.raises(InputError, match=r"^growing-v0: expected problems with one grid shape"):
         _ = Scenario("growing-v0", growing).test
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"validation": 0}, "validation: expected a number from 1 to 100000, found 0"),
+        ({"validation": 1.5}, "validation: expected a whole number, found 1.5"),
+        ({"test": True}, "test: expected a whole number, found True"),
+        ({"open_cost": -5}, "open_cost: expected a number from 0, found -5"),
+        ({"open_cost": float("nan")}, "open_cost: expected a number, found nan"),
+        ({"open_cost": "x"}, "open_cost: expected a number, found 'x'"),
+        ({"mirrors": "x"}, "mirrors: expected true or false, found 'x'"),
+        ({"env": {"split": "test"}}, "env: expected no key split: the scenario is what is play"),
+        ({"training": 3}, "training: expected a mapping, found 3"),
+        ({"accept": 3}, "accept: expected a function, found 3"),
+    ],
+)
+def test_arguments_of_own_scenarios(options: dict[str, Any], said: str) -> None:
+    with pytest.raises(InputError, match=f"^{re.escape(said)}"):
+        scenarios.register("arguments-v0", corridor, **options)
+    assert "arguments-v0" not in scenarios.names()
 
 
 def test_own_references(own: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -929,6 +956,13 @@ OWN = """
 from marouting import Field, scenarios
 
 
+class Policy:
+    options = {"observation": "window"}
+
+    def moves(self, obs, masks):
+        return masks.argmax(1)
+
+
 def draw(rng):
     field = Field(5, 5)
     for start, end in rng.integers(5, size=(2, 2)).tolist():
@@ -938,6 +972,10 @@ def draw(rng):
 
 LANES = scenarios.Scenario(
     "lanes-v0", draw, validation=2, test=3, references="lanes.json", env={"mask": {"visited": True}}
+)
+gates = scenarios.get("gates-8x7-v0")
+GATES = scenarios.Scenario(
+    "own-gates-v0", gates.generator, validation=8, test=2, references="gates.json", env=gates.env
 )
 """
 """A module with a scenario."""
@@ -951,7 +989,8 @@ def lanes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     name = f"own_scenarios_{tmp_path.name.replace('-', '_')}"
     (tmp_path / f"{name}.py").write_text(OWN, encoding="utf-8")
     yield f"{name}:LANES"
-    scenarios._known.pop("lanes-v0", None)
+    for own in ("lanes-v0", "own-gates-v0"):
+        scenarios._known.pop(own, None)
     scenarios._imported.clear()
 
 
@@ -1012,6 +1051,31 @@ def test_references_of_a_scenario_in_a_module(lanes: str) -> None:
     what = "lanes-v0: references: expected those of all problems, or none, found none of 1 of test"
     with pytest.raises(InputError, match=what):
         scenarios.get("lanes-v0").has_references("test")
+
+
+def test_the_best_local_rule_of_a_scenario_in_a_module(
+    lanes: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Policies can be benchmarked once it is known."""
+    gates, own = (lanes.replace(":LANES", name) for name in (":GATES", ":Policy"))
+    benchmark = ["benchmark", "--scenario", gates, "--router", own, "jobs=1", "--json"]
+    with importing_from(Path.cwd()):
+        for name in (lanes, gates):
+            list(solve_scenario(name, Effort(seconds=5)))
+        assert status(benchmark) == 2
+        assert "policies.experiment.anarchy module:NAME" in capsys.readouterr().err
+        ran = CliRunner().invoke(anarchy.main, [gates])
+        assert ran.exit_code == 0, ran.output
+        assert "own-gates-v0" in Path("gates.csv").read_text(encoding="utf-8")
+        assert scenarios.get("own-gates-v0").has_local_rule("test")
+        assert status(benchmark) == 0
+        ran = CliRunner().invoke(anarchy.main, [lanes])  # where all rules are optimal
+        assert "lanes-v0: best local rule: expected one that costs more than" in ran.output
+
+
+def test_policies_play_scenarios_of_modules(lanes: str) -> None:
+    with importing_from(Path.cwd()):
+        assert evaluate_policy(first_free, lanes).problems == 3
 
 
 def test_scenarios_of_modules_in_python(lanes: str) -> None:

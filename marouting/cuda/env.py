@@ -38,7 +38,6 @@ from marouting.cuda.games import (
 from marouting.game import NOBODY
 from marouting.kernels import mixed
 from marouting.observations import Observation, PaperObservation, state_space_of
-from marouting.options import game_options
 from marouting.player import FastPath, StepBuffers
 from marouting.problem.grid import AXES, VIA_AXIS, Grid
 from marouting.problem.net import is_whole
@@ -50,6 +49,7 @@ from marouting.vector import (
     FIGURES,
     BatchEnv,
     Info,
+    batch_options,
     drawn_from,
     fixed_batch,
     info_of,
@@ -118,7 +118,7 @@ class CudaBatchEnv(BatchEnv):
         check("threads", threads == 1, "1: they are the processor's")
         _check_seed(seed)
         self._device = Device()
-        checked = game_options(options, "multi" if everyone else "single")
+        checked = batch_options(options, everyone, autoreset, play_once)
         check("agents_persist", not checked.agents_persist, "false for device cuda")
         once = not play_once or not is_whole(problems)
         check("play_once", once, "false: these games draw their problems")

@@ -23,7 +23,10 @@ from marouting.problem.solution import Solution
 from marouting.render import Window, ansi, rgb_array, scene_of
 from marouting.rewards import paid_by
 from marouting.rules import Rules
-from marouting.source import ProblemStream, Source
+from marouting.source import OTHER_GAME, ProblemStream, Source
+
+ONE_PLAYER = "false: one player moves all nets, so no agent can stay behind"
+"""What interfaces with one player say to ``agents_persist``."""
 
 METADATA: dict[str, Any] = {
     "name": "global_routing_v0",
@@ -113,7 +116,8 @@ class GameEnv(EzPickle):
         """A copy of the state of the environment, for :meth:`restore`."""
         names = ("problem_name", "_figures", "_rng", "_begun", *self._episode)
         rest = {name: vars(self)[name] for name in names if name in vars(self)}
-        return {"game": self.game.copy(), **copy.deepcopy(rest)}
+        kind = type(self).__name__
+        return {"interface": kind, "game": self.game.copy(), **copy.deepcopy(rest)}
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Puts the environment back into a saved state.
@@ -125,11 +129,14 @@ class GameEnv(EzPickle):
         Raises:
             ValueError: it is the state of another game.
         """
-        rest, problem = dict(saved), self.game.problem
-        game: Game = rest.pop("game")
-        same = game.problem == problem or self._episodes.many
-        if not (type(game) is self.game_class and game.rules == self._rules and same):
-            raise ValueError("saved: expected the state of a game with this problem and options")
+        rest, problem = dict(saved) if isinstance(saved, Mapping) else {}, self.game.problem
+        game: Any = rest.pop("game", None)
+        same = rest.pop("interface", None) == type(self).__name__
+        if not (same and type(game) is self.game_class and game.rules == self._rules):
+            raise ValueError(OTHER_GAME)
+        known = self._episodes.problems.values()
+        if not (game.problem in known or (self._episodes.endless and game.grid == self.game.grid)):
+            raise ValueError(OTHER_GAME)
         self._play(rest["problem_name"], game.copy())
         if not self._episodes.many:  # the next episode begins with this one, not with an equal one
             self.game.problem = problem

@@ -10,7 +10,7 @@ from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
 from marouting.config import check
-from marouting.env.base import METADATA, GameEnv, checked_move
+from marouting.env.base import METADATA, ONE_PLAYER, GameEnv, checked_move
 from marouting.game import NOBODY
 from marouting.source import Source
 
@@ -38,7 +38,7 @@ class GlobalRoutingSingle(GameEnv, gymnasium.Env[Any, Any]):
     ) -> None:
         EzPickle.__init__(self, problem, render_mode, **options)
         self._open(problem, "single", {**options, "render_mode": render_mode})
-        check("agents_persist", not options.get("agents_persist"), "false: only one player")
+        check("agents_persist", not options.get("agents_persist"), ONE_PLAYER)
         self.observation_space = self._new_space()
         self.action_space = Discrete(self._actions)
 

@@ -12,9 +12,10 @@ before.
 """
 
 from collections.abc import Sequence
+from typing import TypeGuard, cast
 
 from marouting.errors import InputError
-from marouting.problem.net import Adjustment, Net, Pin
+from marouting.problem.net import Adjustment, Net, Pin, check_numbers, is_whole
 from marouting.problem.problem import Problem, check_grid
 
 Ends = tuple[int, int]
@@ -41,6 +42,7 @@ class Field:
     """
 
     def __init__(self, columns: int, rows: int, layers: int = 1, capacity: int = 6) -> None:
+        check_numbers("columns, rows, layers and capacity", (columns, rows, layers, capacity))
         check_grid((columns, rows, layers))
         self._sides, self._layers = (columns, rows), layers
         self.capacity = capacity
@@ -134,11 +136,11 @@ class Field:
             name: the net's name; None: n0, n1 and so on.
 
         Raises:
-            InputError: a pin has neither two nor three numbers. All else is checked by
+            InputError: a pin is not two or three whole numbers. All else is checked by
                 :meth:`problem`.
         """
         for pin in pins:
-            if len(pin) not in (2, 3):
+            if not (_are_whole(pin) and len(pin) in (2, 3)):
                 raise InputError(
                     f"pin: expected (column, row) or (column, row, layer), found {pin}"
                 )
@@ -194,6 +196,7 @@ class Field:
 
     def _set(self, axis: int, at: int, place: int, tracks: int) -> None:
         """Gives the edge beyond column (axis 0) or row ``at`` some tracks, at ``place`` across."""
+        check_numbers("tracks", (tracks,))
         self._tracks[(axis, at, place) if axis == _X else (axis, place, at)] = tracks
 
     def _between(self, right_of: int | None, above: int | None) -> tuple[int, int]:
@@ -202,14 +205,19 @@ class Field:
             raise InputError("wall or gate: expected right_of, a column, or above, a row")
         axis, at = (_X, right_of) if right_of is not None else (_Y, above)
         most = self._sides[axis] - 2
-        if at is None or not 0 <= at <= most:
+        if at is None or not (is_whole(at) and 0 <= at <= most):
             raise InputError(f"{('right_of', 'above')[axis]}: expected 0 to {most}, found {at}")
         return axis, int(at)
 
     def _ends(self, name: str, given: Ends | None, axis: int) -> Ends:
         """The first and the last column or row, checked."""
         most = self._sides[axis] - 1
-        first, last = (0, most) if given is None else given
-        if not 0 <= first <= last <= most:
+        ends = (0, most) if given is None else given
+        if not (_are_whole(ends) and len(ends) == 2 and 0 <= ends[0] <= ends[1] <= most):
             raise InputError(f"{name}: expected numbers from 0 to {most}, found {given}")
-        return int(first), int(last)
+        return int(ends[0]), int(ends[1])
+
+
+def _are_whole(values: object) -> TypeGuard[Sequence[int]]:
+    """Whether this is a sequence of whole numbers."""
+    return hasattr(values, "__len__") and all(map(is_whole, cast(Sequence[object], values)))

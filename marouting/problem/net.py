@@ -114,8 +114,8 @@ def check_numbers(name: str, values: Iterable[int], field: str = "", row: int = 
 
 
 def is_whole(value: object) -> bool:
-    """Whether a value is an integer, of any type; 1.0 is none."""
-    return isinstance(value, int) or hasattr(value, "__index__")
+    """Whether a value is an integer, of any type; 1.0 and True are none."""
+    return hasattr(value, "__index__") and not isinstance(value, bool)
 
 
 def records(name: str, kind: Any, rows: Any) -> tuple[Any, ...]:

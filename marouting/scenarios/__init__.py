@@ -16,6 +16,7 @@ Where options or commands name a scenario, ``module:NAME`` stands for one in a m
 
 from typing import Any
 
+from marouting.config import check
 from marouting.errors import InputError, nearest
 from marouting.registry import imported
 from marouting.scenarios.cooperation import COOPERATION
@@ -26,7 +27,7 @@ from marouting.scenarios.scenario import SPLITS, Generator, Scenario, Split, rou
 
 __all__ = [
     "COOPERATION", "PLANNING", "SPLITS", "Best", "Generator", "RandomNets", "Reference", "Scenario",
-    "Split", "digest", "get", "load", "mirror_digest", "names", "register", "routable",
+    "Split", "digest", "get", "load", "loaded", "mirror_digest", "names", "register", "routable",
 ]  # fmt: skip
 
 _shipped = {scenario.name: scenario for scenario in (*PLANNING, *COOPERATION)}
@@ -45,6 +46,7 @@ def get(name: str) -> Scenario:
     Raises:
         InputError: there is no such scenario.
     """
+    check("scenario", not isinstance(name, Scenario), f"a name, found the object {name!r}")
     found = {**_known, **_imported}.get(name) if isinstance(name, str) else None
     if found is None:
         hint = nearest(str(name), names(), cutoff=0.4)
@@ -69,6 +71,11 @@ def load(name: str) -> Scenario:
     return get(name)
 
 
+def loaded() -> list[str]:
+    """Each ``module:NAME`` that :func:`load` has imported, for another process to load."""
+    return list(_imported)
+
+
 def register(name: str, generator: Generator, **options: Any) -> Scenario:
     """Makes the problems of a generator a scenario, which all interfaces then find by its name.
 
@@ -84,9 +91,9 @@ def register(name: str, generator: Generator, **options: Any) -> Scenario:
         The scenario.
 
     Raises:
-        InputError: a scenario of the package has this name.
+        InputError: a scenario of the package has this name, or an argument cannot be used.
     """
-    if not isinstance(name, str) or not name or name in _shipped:
-        raise InputError(f"name: expected one that no scenario of the package has, found {name!r}")
+    check("name", isinstance(name, str) and name, f"a text, found {name!r}")
+    check("name", name not in _shipped, f"another one: the package has a scenario {name}")
     _known[name] = Scenario(name, generator, **options)
     return _known[name]

@@ -19,16 +19,16 @@ import itertools
 import os
 from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.config import check
+from marouting.config import Meets, between, check, of_key
 from marouting.errors import InputError
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.problem.net import is_whole
-from marouting.problem.problem import Problem, check_choice
+from marouting.problem.problem import Problem
 from marouting.scenarios.digests import digest, mirror_digest
 from marouting.scenarios.references import Best, Reference, path_of, references_in
 from marouting.search.astar import sequential_astar
@@ -38,6 +38,19 @@ Generator = Callable[[np.random.Generator], Problem]
 
 Split = Literal["train", "validation", "test"]  # the parts of a scenario
 SPLITS: tuple[Split, ...] = get_args(Split)
+
+_ARGUMENTS: dict[str, Any] = {
+    "validation": Annotated[int, between(1, 100_000)],
+    "test": Annotated[int, between(1, 100_000)],
+    "open_cost": Annotated[float, Meets(lambda cost: cost >= 0, "a number from 0")],
+    "mirrors": bool,
+    "env": dict[str, Any],
+    "training": dict[str, Any],
+}
+"""What arguments of a scenario must be."""
+
+_PLAYED = ("problem", "scenario", "split")
+"""Options of the environment that a scenario cannot suggest."""
 
 ORDERS = 8  # the most net orders in which A* tries to route a problem without overflow
 ATTEMPTS = 1000  # the most attempts for one problem. None of the scenarios comes near it.
@@ -69,6 +82,9 @@ class Scenario:
     Attributes:
         name, generator, description, env, training, open_cost: as given.
         references: the file with the references, which need not be there.
+
+    Raises:
+        InputError: an argument cannot be used.
     """
 
     def __init__(
@@ -87,6 +103,18 @@ class Scenario:
         largest: Callable[[], Problem] | None = None,
         references: str | os.PathLike[str] | None = None,
     ) -> None:
+        given = {
+            "validation": validation, "test": test, "open_cost": open_cost, "mirrors": mirrors,
+            "env": env or {}, "training": training or {},
+        }  # fmt: skip
+        for key, value in given.items():
+            of_key(key, value, _ARGUMENTS[key])
+        for key in _PLAYED:
+            check("env", key not in (env or {}), f"no key {key}: the scenario is what is played")
+        functions = {"generator": generator, "accept": accept, "largest": largest}
+        for key, of in functions.items():
+            fits = callable(of) or (of is None and key != "generator")
+            check(key, fits, f"a function, found {of!r}")
         self.name, self.generator, self.description = name, generator, description
         self.env, self.training = dict(env or {}), dict(training or {})
         self.open_cost = open_cost
@@ -130,11 +158,9 @@ class Scenario:
         Raises:
             InputError: it is neither ``validation`` nor ``test``.
         """
-        if split == "train":
-            raise InputError(
-                "split: expected validation or test, found train: its problems are endless"
-            )
-        check_choice("split", split, Split)
+        if split not in SPLITS[1:]:
+            found = "train: its problems are endless" if split == "train" else repr(split)
+            raise InputError(f"split: expected validation or test, found {found}")
         return dict(self._fixed[split])
 
     def reference(self, problem: Problem) -> Reference:
@@ -216,7 +242,10 @@ class Scenario:
     def bounds(self) -> list[Problem]:
         """Problems that, together, have as many nets and pins and as much capacity as any drawn."""
         if self._largest is not None:
-            return [self._largest()]
+            largest = self._largest()
+            what = f"a Problem, found {largest!r}"
+            check(f"{self.name}: largest", isinstance(largest, Problem), what)
+            return [largest]
         return [*self.validation, *self.test]
 
     @functools.cached_property
@@ -267,9 +296,10 @@ class Scenario:
             elif fits is None or fits(problem):
                 return problem
         raise InputError(
-            f"{self.name}: expected a problem that fits within {ATTEMPTS} attempts, found {known} "
-            "that are validation or test problems (or their mirror images) and "
-            f"{ATTEMPTS - known} that accept refuses or that are larger than all of those"
+            f"{self.name}: the generator draws too few different problems that fit: {known} of "
+            f"{ATTEMPTS} draws equal a validation or test problem or its mirror image, and "
+            f"{ATTEMPTS - known} are refused by accept or larger than all of those; lower "
+            "validation and test, or draw more varied problems"
         )
 
 

@@ -147,7 +147,7 @@ def benchmark(
     from policies.cli.resolved import check_kind
     from policies.cli.tables import show_benchmark
     from policies.experiment.benchmark import Benchmark, BenchmarkConfig, from_text, load_entries
-    from policies.experiment.config import Budget, Entry, Split
+    from policies.experiment.config import RULE_COST, Budget, Entry, Split
     from policies.experiment.result import read_result, summarise
     from policies.routers.registry import unknown
 
@@ -194,7 +194,7 @@ def benchmark(
     if out is None:  # a folder holds one router of a name, and this one is for one scenario
         out = OUT.with_name(f"{OUT.name}-{alone}") if trained else OUT
     for key, most in bounds.items():
-        what = "a learner to train, and one scenario of docs/cooperation.md"
+        what = f"a learner to train, and one scenario with {RULE_COST}"
         check(f"--training-{key}", trained, what)
         told = f" --training-{key} {most}"
         entries = [replace(e, source=e.source + told * bool(e.zero_shot)) for e in entries]

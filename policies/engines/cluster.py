@@ -20,6 +20,7 @@ from ray.exceptions import RayError, RayTaskError
 
 from marouting.errors import InputError
 from marouting.registry import allowing_code, code_allowed, register, registered
+from marouting.scenarios import load, loaded
 from policies.engines.base import THREADS, Call, environment
 
 RETRIES = 3
@@ -91,7 +92,7 @@ class RayEngine:
             raise InputError("device: expected cpu: this Ray has no GPU")
         variables = {"env_vars": dict.fromkeys(THREADS, str(self._threads))}
         task = ray.remote(max_retries=RETRIES, num_cpus=self._threads, runtime_env=variables)(_run)
-        known = ray.put((str(Path.cwd()), registered(), code_allowed()))
+        known = ray.put((str(Path.cwd()), registered(), loaded(), code_allowed()))
         self._running = {
             task.options(num_gpus=call.gpus).remote(call.function, known, *call.arguments): number
             for number, call in enumerate(calls)
@@ -120,18 +121,20 @@ def _nodes() -> list[dict[str, Any]]:
 
 def _run(
     function: Any,
-    known: tuple[str, Sequence[tuple[str, str, str]], bool | frozenset[str]],
+    known: tuple[str, Sequence[tuple[str, str, str]], Sequence[str], bool | frozenset[str]],
     *arguments: Any,
 ) -> Any:
     """A task; it works in the folder of the process that asked for it, as that one would.
 
-    It knows the same pieces by name, and files may name the same code.
+    It knows the same pieces and scenarios by name, and files may name the same code.
     """
-    folder, pieces, allowed = known
+    folder, pieces, scenarios, allowed = known
     for piece in pieces:
         register(*piece)
     try:
         with allowing_code(allowed), contextlib.chdir(folder):
+            for name in scenarios:
+                load(name)
             return function(*arguments)
     except FileNotFoundError as error:
         if error.filename != folder:

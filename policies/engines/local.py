@@ -13,6 +13,7 @@ from typing import Any
 
 from marouting.errors import InputError
 from marouting.registry import allowing_code, code_allowed, register, registered
+from marouting.scenarios import load, loaded
 from policies.engines.base import THREADS, Call, environment
 
 
@@ -29,7 +30,7 @@ class LocalEngine:
         self._lifeline, self._mine = context.Pipe(duplex=False)
         self._threads = threads
         self._pool = ProcessPoolExecutor(
-            jobs, context, _begin, (self._lifeline, registered(), code_allowed())
+            jobs, context, _begin, (self._lifeline, registered(), loaded(), code_allowed())
         )
 
     def run(self, calls: Sequence[Call]) -> Iterator[dict[int, Any]]:
@@ -74,15 +75,20 @@ _to_the_end = contextlib.ExitStack()
 
 
 def _begin(
-    lifeline: Connection, pieces: Sequence[tuple[str, str, str]], allowed: bool | frozenset[str]
+    lifeline: Connection,
+    pieces: Sequence[tuple[str, str, str]],
+    scenarios: Sequence[str],
+    allowed: bool | frozenset[str],
 ) -> None:
-    """Prepares a process; it knows the same pieces by name as the one that started it.
+    """Prepares a process; it knows the same pieces and scenarios as the one that started it.
 
     Files may name the same code.
     """
     _to_the_end.enter_context(allowing_code(allowed))
     for piece in pieces:
         register(*piece)
+    for name in scenarios:
+        load(name)
     # Ctrl-C goes to all processes of a terminal; the one that started the others handles it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()

@@ -4,6 +4,7 @@ Usage, from a checkout::
 
     python -m policies.experiment.anarchy                 # all of them: a minute or two on one core
     python -m policies.experiment.anarchy braess-v0
+    python -m policies.experiment.anarchy own_levels:mine # a scenario of your own with references
     python -m policies.experiment.anarchy --table         # the table of docs/cooperation.md
 
 Every rule of :data:`RULES` (:mod:`policies.routers.local`) plays the validation and the test
@@ -37,11 +38,13 @@ from marouting.evaluation import rules_of
 from marouting.files import read_text, write_text
 from marouting.scenarios import Scenario
 from marouting.scenarios.cooperation import COOPERATION, Braess
+from marouting.scenarios.references import FOLDER as REFERENCES
+from marouting.scenarios.references import references_in
 from policies.command import Command
 from policies.routers.local import LocalRouter, Rule
 
 FOLDER = Path("docs/results/cooperation")
-"""Where the figures are, SCENARIO.csv."""
+"""Where the figures are, SCENARIO.csv; those of your own scenarios are beside its references."""
 
 LEAST_SELFISH, LEAST_FIXED = 1.15, 1.03
 
@@ -171,11 +174,21 @@ def write_rows(scenario: Scenario, rows: Sequence[Row]) -> None:
     for row in rows:
         values = (getattr(row, name) for name in names)
         writer.writerow([of if isinstance(of, str) else json.dumps(of) for of in values])
-    FOLDER.mkdir(parents=True, exist_ok=True)
-    write_text(FOLDER / f"{scenario.name}.csv", text.getvalue())
+    path = file_of(scenario)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_text(path, text.getvalue())
     kept = json.loads(read_text(scenario.references, 2**24))
     kept["heuristic"] = {split: row.cost for split, row in best_local(rows).items()}
+    what = f"one that costs more than the references, found {kept['heuristic']}"
+    check(f"{scenario.name}: best local rule", min(kept["heuristic"].values()) > 1, what)
     write_text(scenario.references, json.dumps(kept, indent=1) + "\n")
+    references_in.cache_clear()
+
+
+def file_of(scenario: Scenario) -> Path:
+    """The file with the figures of a scenario."""
+    own = scenario not in COOPERATION
+    return scenario.references.with_suffix(".csv") if own else FOLDER / f"{scenario.name}.csv"
 
 
 def read_rows(path: Path) -> list[Row]:
@@ -235,17 +248,24 @@ def table(files: Iterable[Path]) -> Iterator[str]:
 @click.argument("names", nargs=-1)
 @click.option("--table", "shown", is_flag=True, help="Only print the table of what is known.")
 def main(names: Sequence[str], shown: bool) -> None:
-    """Measures what selfishness costs in scenarios for policies (all, unless NAMES are given)."""
+    """Measures what selfishness costs in scenarios for policies (all, unless NAMES are given).
+
+    module:NAME stands for a scenario of your own, which needs references.
+    """
     known = [scenario.name for scenario in COOPERATION]
     for name in names:
-        check("scenario", name in known, f"one of {', '.join(known)}, found {name!r}")
+        what = f"module:NAME or one of {', '.join(known)}, found {name!r}"
+        check("scenario", name in known or ":" in name, what)
+    chosen = [scenarios.load(name) for name in names or known]
     if shown:
-        for line in table(FOLDER / f"{name}.csv" for name in names or known):
+        for line in table(map(file_of, chosen)):
             click.echo(line)
         return
-    for name in names or known:
-        rows = list(measure_all(scenarios.get(name)))
-        write_rows(scenarios.get(name), rows)
+    for scenario in chosen:
+        name, own = scenario.name, scenario.references.parent != REFERENCES
+        check(f"{name}: scenario", scenario in COOPERATION or own, "one with a file of references")
+        rows = list(measure_all(scenario))
+        write_rows(scenario, rows)
         best = best_local(rows)["test"]
         why = refused(rows)
         text = f"not worth playing: {why}" if why else "worth playing"

@@ -36,6 +36,12 @@ SOLUTIONS = "solutions"
 PARTS = ("env", "learner", "train")
 """The parts of a training's configuration that an entry holds."""
 
+RULE_COST = (
+    "a known best local rule (`python -m policies.experiment.anarchy module:NAME` finds that of "
+    "your own scenario)"
+)
+"""What scenarios need in which policies play, in words."""
+
 Split = Literal["test", "validation"]
 """The problems of a scenario that can be compared on."""
 

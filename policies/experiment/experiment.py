@@ -25,6 +25,7 @@ from marouting.scenarios import get
 from marouting.source import load_problems
 from policies.engines import check_engine, cores
 from policies.experiment.config import (
+    RULE_COST,
     Entry,
     ExperimentConfig,
     ScenarioSet,
@@ -324,7 +325,7 @@ def _shares(
         check(f"{where}.scenario", found == entry.zero_shot, what)
     if scenario is None and entry.plays and not is_learner(entry.router):
         known = hasattr(lookup("router", entry.router), "route")
-        what = "one with a method route: policies play the scenarios of docs/cooperation.md"
+        what = f"one with a method route, or only scenarios with {RULE_COST}"
         check(f"{where}.router", known, what)
     if not entry.routes or (scenario is not None and entry.plays):
         return [tuple(problems)]

@@ -4,6 +4,7 @@ References only get better. So that all rows of a scenario are scored alike, eac
 best reference that any of its files knows.
 """
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -32,7 +33,7 @@ def write_leaderboard(results: Path, page: Path) -> list[Path]:
     drawn = []
     for group, found in groups.items():
         drawn += _draw(group, found, page.parent / PICTURES)
-    write_text(page, _page(groups, {path.name for path in drawn}))
+    write_text(page, _page(groups, {path.name for path in drawn}, results, page))
     return [page, *drawn]
 
 
@@ -134,13 +135,16 @@ def _of_policies(found: Sequence[Result]) -> bool:
     return found[0].scale is not None
 
 
-def _page(groups: Mapping[_Group, Sequence[Result]], drawn: set[str]) -> str:
+def _page(
+    groups: Mapping[_Group, Sequence[Result]], drawn: set[str], results: Path, page: Path
+) -> str:
+    folder = Path(os.path.relpath(results, page.parent)).as_posix()
     lines = [
         "# Leaderboard",
         "",
-        "All scores of the benchmark, by scenario. Made by `marouting benchmark --out "
-        "docs/results/benchmark --leaderboard docs/notes/leaderboard.md` from the files in "
-        "[results/benchmark](../results/benchmark); do not edit it. "
+        f"All scores of the benchmark, by scenario. Made by `marouting benchmark --out "
+        f"{results.as_posix()} --leaderboard {page.as_posix()}` from the files in "
+        f"[{folder.removeprefix('../')}]({folder}); do not edit it. "
         "[Scenarios](../scenarios.md) explains the protocol and how to add a row.",
     ]
     tracks = (("Planners", _PLANNERS, False), ("Policies", _POLICIES, True))

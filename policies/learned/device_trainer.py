@@ -81,6 +81,7 @@ class DeviceTrainer:
         for name in (*PLAYED, "agents", "agents_persist", "render_mode"):
             del env[name]
         env["turn_order"] = config.env.turn_order or ORDERS["multi"]
+        env["mask"] = {"visited": config.env.mask.visited}
         source: Any = episodes
         with allowing_code_of(config):
             self.env = BatchEnv(

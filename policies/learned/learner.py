@@ -16,6 +16,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from marouting.config import Component
+from marouting.errors import InputError
 from marouting.game import NOBODY
 from marouting.options import Agents
 from marouting.player import Player
@@ -236,3 +238,12 @@ def best_moves(outputs: Tensor, mask: NDArray[np.int8] | None) -> NDArray[np.int
     if mask is not None:
         values = np.where(mask == 0, -np.inf, values)
     return values.argmax(axis=1).astype(np.int16)
+
+
+def check_network(options: Any) -> None:
+    """Raises InputError if a learner's options name a network that is none of PyTorch's modules."""
+    named = getattr(options, "network", None)
+    if isinstance(named, Component) and not issubclass(named.cls, nn.Module):
+        raise InputError(
+            f"learner.network: expected a class derived from torch.nn.Module, found {named.name}"
+        )

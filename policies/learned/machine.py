@@ -20,8 +20,12 @@ def torch_device(name: str) -> torch.device:
     """A device of torch's; raises InputError if it cannot be used."""
     try:
         device = torch.device(name)
+    except RuntimeError:
+        raise InputError(f"train.device: expected cpu, cuda or cuda:1, found {name}") from None
+    try:
         torch.zeros(1, device=device).cpu()
     except (RuntimeError, AssertionError) as error:
         reason = str(error).splitlines()[0]
-        raise InputError(f"device: expected cpu or an available cuda device: {reason}") from None
+        what = f"train.device: expected cpu or an available cuda device: {reason}"
+        raise InputError(what) from None
     return device

@@ -26,6 +26,7 @@ from marouting.problem.grid import MOVES
 from marouting.vector import BatchEnv
 from policies.learned.algorithms.ppo import PPOOptions
 from policies.learned.checkpoint import as_rows, checked, from_rows
+from policies.learned.learner import check_network
 from policies.learned.machine import torch_device
 
 _NEVER = -1e9
@@ -90,6 +91,7 @@ class DevicePPO:
         self.state_size = int(np.prod(env.single_state_space.shape)) if self.central else 0
         self.actions = int(env.single_action_space.n)
         check("message_bits", self.actions <= MOVES + 2, "0 on a device")
+        check_network(options)
         make = options.network.make
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)

@@ -37,7 +37,7 @@ from policies.learned.checkpoint import (
 )
 from policies.learned.config import Config
 from policies.learned.exploration import Exploration
-from policies.learned.learner import Learner, Setup
+from policies.learned.learner import Learner, Setup, check_network
 from policies.learned.machine import torch_device, use_threads
 from policies.learned.memory.pre_step import PreStep
 from policies.learned.per_network import COUNT
@@ -94,6 +94,7 @@ class Trainer:
                 f"learner: expected a class derived from {Learner.__module__}.Learner, "
                 f"found {learner.name}"
             )
+        check_network(learner.options)
         self.drawn = drawn = draws is not None
         check("train.games", drawn or train.games is None, "null: its problems are fixed")
         self._whole = player_of(config.env, list(problems.values()), config.train.negotiation)
