@@ -3,12 +3,12 @@
 import os
 from collections.abc import Mapping
 from dataclasses import fields
-from typing import Any
+from typing import Any, get_args
 
-from marouting.config import read_yaml, unknown_key
+from marouting.config import check, read_yaml, unknown_key
 from marouting.env.single import GlobalRoutingSingle
 from marouting.errors import InputError
-from marouting.options import EnvOptions, with_suggestions
+from marouting.options import Agents, EnvOptions, with_suggestions
 from marouting.registry import allowing_code
 
 KEYS = ("seed", "out", "env", "learner", "train")
@@ -60,6 +60,8 @@ def make(
             raise InputError(f"config: expected a path, a mapping or a Config, found {config!r}")
         part = {field.name: getattr(options, field.name) for field in fields(options)}
     part = {"agents": "single", **with_suggestions(part)}
+    known, found = get_args(Agents), part["agents"]
+    check(f"{where}: env: agents", found in known, f"one of {', '.join(known)}, found {found!r}")
     try:
         return env(**part) if part["agents"] == "multi" else GlobalRoutingSingle(**part)
     except InputError as error:

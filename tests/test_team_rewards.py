@@ -345,7 +345,7 @@ class OnlyPays:
         ),
         (
             {"kind": "mixed", "parts": [{"kind": f"{__name__}:OnlyPays", "price": 2}]},
-            "^reward.parts.0.price: unknown key; expected none$",
+            "^reward.parts.0.price: unknown key; expected none for the reward .*:OnlyPays$",
         ),
     ],
 )

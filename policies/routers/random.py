@@ -6,6 +6,7 @@ import numpy as np
 
 from marouting import InputError, Problem, Solution
 from marouting.game import Game, mask_table
+from marouting.memory import PLAYED, TABLES, check_memory
 from marouting.problem.grid import MOVES
 from marouting.rules import Rules
 
@@ -38,6 +39,8 @@ class RandomRouter:
         Returns:
             A solution without overflow, in which usually few nets are joined.
         """
+        grid = problem.topology
+        check_memory(grid.gcells * (TABLES + PLAYED), "a game on a grid of {}", grid)
         game, rng = Game(problem, Rules(max_steps=self.max_steps)), np.random.default_rng(self.seed)
         masks = mask_table(MOVES)
         while game.active:
