@@ -1204,6 +1204,7 @@ def test_a_generator_without_seed_holds_problems_out(tmp_path: Path) -> None:
          "train.validation: expected null: a set is evaluated whole"),
         ({"games": 2, "shared": True}, {"problem": {"nets": 3, "seed": None, "count": 2}},
          "problem.count: expected 1 without a seed, found 2"),
+        ({"device": None}, {"scenario": "toy-4x4-v0"}, "train.device: expected a text, found None"),
     ],
 )  # fmt: skip
 def test_what_trainings_cannot_draw(

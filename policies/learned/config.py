@@ -7,7 +7,7 @@ that ``learner.kind`` names, see :mod:`policies.learned.algorithms`.
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
 from marouting.batch.prices import Negotiation
@@ -194,7 +194,8 @@ def config_of(raw: Mapping[str, Any], where: str = "") -> Config:
     if train.get("games") is not None or _endless(env):
         scenario = env.get("scenario")
         suggested = {} if scenario is None else get(scenario).training
-        given = {key: value for key, value in train.items() if value is not None}
+        filled = {f.name for f in fields(TrainOptions) if f.default is None}
+        given = {key: of for key, of in train.items() if of is not None or key not in filled}
         train = {**DRAWN, **suggested, **given}
         if train.get("steps") is not None and "episodes" not in given:
             train["episodes"] = MOST
