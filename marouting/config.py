@@ -755,14 +755,15 @@ def override(raw: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]
     Args:
         raw: plain data, as from YAML.
         overrides: ``key=value``, with dots between the parts of a key and the value as in YAML. A
-            mapping replaces the whole of one. The name of a piece and its keys go together:
-            ``reward=paper reward.step=-1``, in either order.
+            mapping replaces the whole of one, and the name of a piece all of its options. Keys of
+            what is replaced may be given as well, in any order: ``reward.step=-1 reward=paper``. Of
+            values for the same key the last one counts.
 
     Raises:
-        InputError: a text is not such, or a key has both a value and keys of its own.
+        InputError: a text is not such, or a key has both keys of its own and a value without keys.
     """
     changed, given = dict(raw), dict[str, Any]()
-    for text in overrides:
+    for text in sorted(overrides, key=lambda text: text.partition("=")[0].count(".")):
         key, equals, written = text.partition("=")
         if not equals or not key:
             raise InputError(f"{text}: expected key=value")
@@ -773,16 +774,10 @@ def override(raw: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]
             inner = place.get(part, {})
             if isinstance(inner, str) and part in KINDS:
                 inner = {"kind": inner}
-            check(text, isinstance(inner, dict), f"no value for {part} beside its keys")
+            check(text, isinstance(inner, dict), f"{part} to have keys, found {inner!r}")
             place[part] = place = inner
-        before = place.get(last)
-        if isinstance(before, dict) and isinstance(value, str) and last in KINDS:
-            value = {**before, "kind": value}
-        elif isinstance(before, dict) and before:
-            what = f"a mapping, or no keys of {last} beside it"
-            check(text, isinstance(value, Mapping), what)
         place[last] = value
-        if isinstance(value, Mapping):
+        if isinstance(value, Mapping) or (isinstance(value, str) and last in KINDS):
             alone: dict[str, Any] = {last: None}
             for part in reversed(parts):
                 alone = {part: alone}

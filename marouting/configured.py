@@ -11,6 +11,9 @@ from marouting.errors import InputError
 from marouting.options import Agents, EnvOptions, with_suggestions
 from marouting.registry import allowing_code
 
+OPTIONS = tuple(field.name for field in fields(EnvOptions))
+"""The keys of ``env``."""
+
 KEYS = ("seed", "out", "env", "learner", "train")
 """The keys of a configuration; all but ``env`` belong to :mod:`policies.learned.config`."""
 
@@ -58,7 +61,10 @@ def make(
         options = getattr(config, "env", config)
         if not isinstance(options, EnvOptions):
             raise InputError(f"config: expected a path, a mapping or a Config, found {config!r}")
-        part = {field.name: getattr(options, field.name) for field in fields(options)}
+        part = {name: getattr(options, name) for name in OPTIONS}
+    for key in part:
+        if key not in OPTIONS:
+            raise InputError(f"{where}: env: {unknown_key(str(key), OPTIONS)}")
     part = {"agents": "single", **with_suggestions(part)}
     known, found = get_args(Agents), part["agents"]
     check(f"{where}: env: agents", found in known, f"one of {', '.join(known)}, found {found!r}")

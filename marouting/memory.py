@@ -21,8 +21,8 @@ SMALL = 2**24  # so many bytes are always there, and not worth a look at the lim
 TABLES = 64  #: topology
 PLAYED = 36  #: capacities of each problem that is played: as given, at the start, remaining
 STATE = 105  #: bounds of the state space of an environment
-EXPECTED = 36  #: expected demand and agents, of each problem that is seen through windows
-SEARCH = 121  #: working arrays of A* (97), and room for a route (24)
+EXPECTED = 24  #: expected demand and agents, of each problem that is seen through windows
+SEARCH = 109  #: working arrays of A* (85), and room for a route (24)
 NEGOTIATION = 87  #: topology, capacities, prices and users of edges in negotiated congestion
 PROOF = 300  #: wires and prices of the proof of an optimum
 

@@ -18,7 +18,7 @@ from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
 from marouting.batch.engine import Engine
-from marouting.config import check
+from marouting.config import build, check
 from marouting.errors import InputError
 from marouting.observations import Observation, state_of, state_space_of
 from marouting.options import GameOptions, game_options
@@ -397,7 +397,8 @@ def batch_options(
         check(name, isinstance(value, bool | np.bool_), f"true or false, found {value!r}")
     checked = game_options(options, "multi" if everyone else "single")
     check("render_mode", options.get("render_mode") is None, "null: a batch draws no pictures")
-    mask = checked.mask if options.get("mask") is not None else Mask()
+    given = options.get("mask") or {}  # what a scenario suggests for other interfaces may stay
+    mask = given if isinstance(given, Mask) else build(Mask, given, "mask")
     what = 'no key but visited: a batch gives its masks as info["action_mask"]'
     check("mask", mask == Mask(visited=mask.visited), what)
     return checked

@@ -1365,16 +1365,25 @@ def test_an_override_changes_one_place() -> None:
 def test_a_name_and_its_keys_go_together(overrides: list[str]) -> None:
     expected = {"env": {"reward": {"kind": "team", "step": 2}}}
     assert override({}, [f"env.{text}" for text in overrides]) == expected
-    raw = {"env": {"reward": {"kind": "paper", "reached": 1}}}
-    assert override(raw, [f"env.{text}" for text in overrides]) == expected
+    for kind in ("paper", "team"):  # a name replaces all options, also of the same piece
+        raw = {"env": {"reward": {"kind": kind, "reached": 1}}}
+        assert override(raw, [f"env.{text}" for text in overrides]) == expected
+
+
+def test_the_last_value_of_a_key_counts() -> None:
+    for values in (["{nets: 3}", "p.gr"], ["p.gr", "{nets: 3}"], ["p.gr", "q.gr"]):
+        last = {"problem": yaml.safe_load(values[-1])}
+        assert override({}, [f"problem={value}" for value in values]) == last
 
 
 @pytest.mark.parametrize(
-    "overrides", [["seed=3", "seed.x=4"], ["env.problem.nets=3", "env.problem=p.gr"]]
+    "overrides", [["seed=3", "seed.x=4"], ["env.problem.nets=3", "env.problem=p"]]
 )
 def test_a_key_has_a_value_or_keys(overrides: list[str]) -> None:
-    with pytest.raises(InputError, match=rf"^{overrides[1]}: expected "):
-        override({}, overrides)
+    deeper = max(overrides, key=lambda text: text.count("."))
+    for texts in (overrides, overrides[::-1]):
+        with pytest.raises(InputError, match=rf"^{deeper}: expected \w+ to have keys, found "):
+            override({}, texts)
 
 
 # A file holds no NUL. Numbers as text have to stay text.

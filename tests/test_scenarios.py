@@ -37,6 +37,7 @@ from marouting import (
     sequential_astar,
 )
 from marouting.config import build, parse_yaml
+from marouting.gym_vector import GlobalRoutingVector
 from marouting.registry import importing_from
 from marouting.scenarios import (
     COOPERATION,
@@ -793,6 +794,20 @@ def test_an_own_generator_is_a_scenario(own: Scenario) -> None:
 def own_window(radius: int, **options: Any) -> tuple[int, ...]:
     """The shape of what a window shows."""
     return (WindowObservation(radius=radius, **options).size,)
+
+
+@pytest.mark.usefixtures("own")
+def test_a_batch_leaves_out_what_a_scenario_suggests_for_other_interfaces() -> None:
+    shown = {"mask": {"in_observation": True}, "agents": "single"}
+    scenarios.register("corridor-v0", corridor, validation=3, test=6, env=shown)
+    assert BatchEnv(2, scenario="corridor-v0", everyone=False, mask={"visited": True}).num_envs == 2
+    assert GlobalRoutingVector(2, scenario="corridor-v0").num_envs == 2
+    result = evaluate_policy(
+        lambda _, masks: masks.argmax(-1), "corridor-v0", "validation", max_steps=5
+    )
+    assert result.problems == 3
+    with pytest.raises(InputError, match=r"^mask: expected no key but visited"):
+        BatchEnv(2, scenario="corridor-v0", everyone=False, mask={"in_observation": True})
 
 
 @makers

@@ -93,7 +93,7 @@ def register(name: str, generator: Generator, **options: Any) -> Scenario:
     Raises:
         InputError: a scenario of the package has this name, or an argument cannot be used.
     """
-    check("name", isinstance(name, str) and name, f"a text, found {name!r}")
+    check("name", isinstance(name, str) and name, f"a text that is not empty, found {name!r}")
     check("name", name not in _shipped, f"another one: the package has a scenario {name}")
     _known[name] = Scenario(name, generator, **options)
     return _known[name]

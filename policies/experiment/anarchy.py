@@ -174,13 +174,13 @@ def write_rows(scenario: Scenario, rows: Sequence[Row]) -> None:
     for row in rows:
         values = (getattr(row, name) for name in names)
         writer.writerow([of if isinstance(of, str) else json.dumps(of) for of in values])
-    path = file_of(scenario)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_text(path, text.getvalue())
     kept = json.loads(read_text(scenario.references, 2**24))
     kept["heuristic"] = {split: row.cost for split, row in best_local(rows).items()}
     what = f"one that costs more than the references, found {kept['heuristic']}"
     check(f"{scenario.name}: best local rule", min(kept["heuristic"].values()) > 1, what)
+    path = file_of(scenario)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_text(path, text.getvalue())
     write_text(scenario.references, json.dumps(kept, indent=1) + "\n")
     references_in.cache_clear()
 

@@ -9,7 +9,7 @@ from typing import Any, cast
 
 from marouting import InputError, Problem, Solution
 from marouting.config import allowing_code_of, build
-from marouting.files import write_text
+from marouting.files import naming, suffix_of, write_text
 from policies.engines import Call, EngineName, opened
 from policies.experiment.config import (
     PARTS,
@@ -156,7 +156,17 @@ class Part:
     def _external(self, name: str, problem: Problem) -> Solution:
         """The solution of a problem in a folder; raises InputError if there is none."""
         folder = Path(self.entry.options["folder"])
-        return Solution.read(run_folder.solution_in(folder, name), problem)
+        with naming(folder, "cannot be read"):
+            files = sorted(
+                path.name
+                for path in folder.iterdir()
+                if path.name.startswith(f"{name}.") and suffix_of(path) != ".gr" and path.is_file()
+            )
+        if len(files) != 1:
+            raise InputError(
+                f"{folder}: expected one solution {name}.*, found {', '.join(files) or 'none'}"
+            )
+        return Solution.read(folder / files[0], problem)
 
     def _route(self, name: str) -> Row:
         problem = Problem.read(self.problem(name))

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from marouting import InputError, Problem, Solution
 from marouting.batch.engine import Engine
 from marouting.config import piece
-from marouting.files import exists, is_dir
+from marouting.files import exists, is_dir, stem_of, suffix_of
 from marouting.registry import names
 from marouting.search.guides import AStar, RouteFollower
-from policies.results.run_folder import solution_in
 
 GUIDES = ("astar", "random")
 """Guides that compute moves one by one; of other routers the solution is replayed."""
@@ -82,9 +81,22 @@ def read_solutions(burn_in: str, problems: Mapping[str, Problem]) -> list[Soluti
             f"or a solution file or a folder of them, found {burn_in!r}"
         )
     if is_dir(path):
-        return [
-            Solution.read(solution_in(path, name), problem) for name, problem in problems.items()
-        ]
+        return [Solution.read(_file(path, name), problem) for name, problem in problems.items()]
     if len(problems) > 1:
         raise InputError(f"burn_in: {path}: expected a folder, with a solution for each problem")
     return [Solution.read(path, problem) for problem in problems.values()]
+
+
+def _file(folder: Path, name: str) -> Path:
+    """The one solution file of a problem in a folder."""
+    found = [
+        file
+        for file in folder.glob("*")
+        if suffix_of(file) == ".solution" and f"{stem_of(file)}.".startswith(f"{name}.")
+    ]
+    if len(found) != 1:
+        raise InputError(
+            f"burn_in: {folder}: expected one file {name}.solution or {name}.*.solution, "
+            f"found {len(found)}"
+        )
+    return found[0]

@@ -23,7 +23,7 @@ from typing import Annotated, TypeVar
 
 from marouting import InputError
 from marouting.config import between, build_json, check
-from marouting.files import naming, plain_name, read_text, stem_of, suffix_of
+from marouting.files import plain_name, read_text, stem_of, suffix_of
 from policies.results.rows import (
     MOST_BYTES,
     Count,
@@ -53,18 +53,6 @@ def solution_name(file: Path, problem: str) -> str:
     """Whose solution of a problem a file holds: its name without the problem's and the suffix."""
     stem = stem_of(file) if suffix_of(file) == ".solution" else plain_name(file)
     return stem.removeprefix(problem).strip(".") or stem_of(file)
-
-
-def solution_in(folder: Path, problem: str) -> Path:
-    """The one file with a solution of a problem in any folder; raises InputError otherwise."""
-    with naming(folder, "cannot be read"):
-        files = [file for file in folder.iterdir() if file.name.startswith(f"{problem}.")]
-    found = sorted(file.name for file in files if file.suffix != ".gr" and file.is_file())
-    if len(found) != 1:
-        raise InputError(
-            f"{folder}: expected one solution {problem}.*, found {', '.join(found) or 'none'}"
-        )
-    return folder / found[0]
 
 
 def read_result(folder: Path) -> list[Row]:
