@@ -422,7 +422,7 @@ def _validation_curve(
     seeds: Sequence[Sequence[tuple[int, float]]],
 ) -> tuple[tuple[int, float], ...]:
     """The mean of the curves of seeds, at no more than POINTS of the steps of the first."""
-    if not all(seeds):
+    if min(map(len, seeds)) < 2:  # the training ended before an episode did
         return ()
     steps = np.array([step for step, _ in seeds[0]])
     at = steps[np.unique(np.linspace(0, len(steps) - 1, POINTS).round().astype(int))]
