@@ -199,8 +199,7 @@ _CHOICES = ("wait", "message_bits")
 
 def rules_of(scenario: str) -> Rules:
     """The rules of the game that a scenario suggests."""
-    options = game_options({"scenario": scenario, "split": "test"})
-    return Rules(**{field.name: getattr(options, field.name) for field in fields(Rules)})
+    return game_options({"scenario": scenario, "split": "test"}).rules
 
 
 def check_rules(game: Rules, scenario: str) -> None:

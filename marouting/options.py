@@ -96,6 +96,11 @@ class GameOptions(Rules):
         taken = {self.mask.observation_key, *TOLD}
         check("mask.mask_key", self.mask.mask_key not in taken, "a name of its own")
 
+    @property
+    def rules(self) -> Rules:
+        """The rules of the game alone."""
+        return Rules(**{field.name: getattr(self, field.name) for field in fields(Rules)})
+
 
 FORMS = {"observation": ("write", "see", "space"), "reward": ("__call__", "pay")}
 """For each kind of piece: its method for columns, the one for a plain game, and further methods."""

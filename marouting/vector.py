@@ -8,7 +8,6 @@ import os
 import pkgutil
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import fields
 from typing import Any, ClassVar, NamedTuple, cast
 
 import numpy as np
@@ -25,7 +24,7 @@ from marouting.options import GameOptions, game_options
 from marouting.player import Player, Saved, StepBuffers
 from marouting.problem.net import is_whole
 from marouting.problem.problem import Problem
-from marouting.rules import Mask, Rules
+from marouting.rules import Mask
 from marouting.scenarios import get
 from marouting.source import OTHER_GAME, ProblemSampler, ProblemStream, Source, checked_seed
 
@@ -190,10 +189,9 @@ class BatchEnv(EzPickle):
             )
             for part in map(slice, cuts, cuts[1:])
         ]
-        rules = Rules(**{field.name: getattr(checked, field.name) for field in fields(Rules)})
         played = episodes.identity if episodes else (*engine.problems,)
         shape = self._buffers.obs.shape
-        self._identity = (kind, everyone, self._persists, rules, shape, cuts, played)
+        self._identity = (kind, everyone, self._persists, checked.rules, shape, cuts, played)
         self._begun = False
         self._start_threads()
 

@@ -3,7 +3,6 @@
 import copy
 import operator
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 from typing import Any, ClassVar
 
 import numpy as np
@@ -22,7 +21,6 @@ from marouting.problem.grid import Grid
 from marouting.problem.solution import Solution
 from marouting.render import Window, ansi, rgb_array, scene_of
 from marouting.rewards import paid_by
-from marouting.rules import Rules
 from marouting.source import OTHER_GAME, ProblemStream, Source
 
 ONE_PLAYER = "false: one player moves all nets, so no agent can stay behind"
@@ -56,7 +54,7 @@ class GameEnv(EzPickle):
     def _open(self, problem: Source, agents: Agents, options: Mapping[str, Any]) -> None:
         """Makes the game of an interface with one agent or many."""
         checked = game_options(options, agents)
-        self._rules = Rules(**{field.name: getattr(checked, field.name) for field in fields(Rules)})
+        self._rules = checked.rules
         self._observation = checked.observation.make()
         self._sees_plainly = has_form(self._observation, "see", "write")
         self._reward: Any = checked.reward.make()

@@ -16,7 +16,7 @@ compiled (:mod:`policies.generalist.walk`).
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -29,7 +29,7 @@ from marouting.batch.prices import MOST_PRESENT, Negotiation
 from marouting.checks import check_fields
 from marouting.config import check
 from marouting.problem.grid import MOVES
-from marouting.rules import MOST_NEIGHBOURS, MOST_ROUNDS, Mask, Nets, RipUp, Rules
+from marouting.rules import MOST_NEIGHBOURS, MOST_ROUNDS, Mask, Nets, RipUp
 from policies.generalist import SHIPPED
 from policies.generalist.cheapest_tree import MOST_PINS
 from policies.generalist.outlook import DETOURS, OutlookObservation
@@ -153,12 +153,8 @@ class GeneralistRouter:
             self._observation, self._sizes, self._weights = _read(trained, weights)
             env = trained.env
         self._keys = keys(options.seed, ["0"], "walk")
-        rules = {field.name: getattr(env, field.name) for field in fields(Rules)}
-        self._rules = replace(
-            Rules(**rules),
-            turn_order="sequential",
-            rip_up=_rounds(options.rounds, options.neighbours),
-        )
+        rounds = _rounds(options.rounds, options.neighbours)
+        self._rules = replace(env.rules, turn_order="sequential", rip_up=rounds)
         prices = options.prices and options.rounds > 0 and env.overflow == "allowed"
         self._negotiation = Negotiation(prices=prices, patience=options.patience, calm=_CALM)
 
