@@ -354,6 +354,19 @@ class Player:
             getattr(self.buffers, name)[...] = getattr(saved.buffers, name)
         self._mirror(slice(None))
 
+    @property
+    def movers(self) -> NDArray[np.bool_]:
+        """(M, K) rows whose agents move in the next step.
+
+        These are all that are active, but where only one agent of a game may move, in sequential
+        order or while one is asked whether to rip up its net, the row of that agent.
+        """
+        b, games = self.buffers, self.engine.games
+        alone = (games["asked"] != 0) | self.engine.static.sequential
+        own_turn = b.agents == games["agent"][:, None]
+        movers: NDArray[np.bool_] = b.active & (own_turn | ~alone[:, None])
+        return movers
+
     # --- moves of the observation -------------------------------------------------------------
 
     def actions_of(self, moves: NDArray[np.integer]) -> NDArray[np.int16]:

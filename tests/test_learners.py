@@ -21,9 +21,10 @@ from torch import Tensor, nn
 from marouting import InputError, PaperObservation, PaperReward, Problem, generate
 from marouting.batch.engine import Engine
 from marouting.config import piece
-from marouting.game import Ending
+from marouting.game import NOBODY, Ending
 from marouting.player import Player, StepBuffers
 from marouting.problem.grid import MOVES
+from marouting.rules import TurnOrder
 from policies.learned.algorithms.dqn import DQN, DQNOptions
 from policies.learned.algorithms.fused_dqn import FusedDQN, obstacle
 from policies.learned.algorithms.ppo import PPO, PPOOptions, losses
@@ -634,7 +635,8 @@ def test_moves_are_drawn_by_their_scores(masking: bool) -> None:
     count = 20_000
     now, scores = asking(count, masking)
     chance = np.zeros((1, count + 1), np.float32)
-    Exploration(keys(0, ["a"], "explore").reshape(1, 1)).sample(now, scores, masking, chance)
+    explore = Exploration(keys(0, ["a"], "explore").reshape(1, 1))
+    explore.sample(now, now.active, scores, masking, chance)
     weights = np.exp(scores[0, 0]) * now.mask[0, 0]
     expected = weights / weights.sum()
     made = np.bincount(now.actions[0, :-1], minlength=MOVES) / count
@@ -1176,3 +1178,23 @@ def test_keys_differ_by_seed_name_and_purpose() -> None:
     ]
     a, b = (draw(key, 100, 5) for key in keys(0, ["a", "b"], "x"))
     assert abs(np.corrcoef(a.ravel(), b.ravel())[0, 1]) < 0.2
+
+
+@pytest.mark.parametrize("order", ["sequential", "round_robin"])
+@pytest.mark.parametrize("choose", ["conflicts", "agents"])
+def test_movers_are_the_rows_whose_agents_act(order: TurnOrder, choose: str) -> None:
+    """They are known before the step: in sequential order, or while one is asked, a single row."""
+    games = [tiny(seed, nets=5) for seed in range(4)]
+    rules = {"turn_order": order, "rip_up": {"rounds": 2, "choose": choose}}
+    engine = Engine(games, max_steps=12, **rules)
+    player = Player(engine, PaperObservation(), PaperReward())
+    player.reset()
+    b, rng, seen = player.buffers, np.random.default_rng(0), set()
+    while b.active.any():
+        movers = player.movers
+        choices = np.where(b.mask > 0, rng.random(b.mask.shape), -1)
+        b.actions[:] = np.where(b.active, choices.argmax(axis=2), NOBODY)
+        player.step()
+        np.testing.assert_array_equal(b.acted, movers)
+        seen |= set(movers.sum(axis=1).tolist())
+    assert (max(seen) == 1) == (order == "sequential")

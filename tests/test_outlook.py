@@ -406,10 +406,10 @@ def test_games_with_many_rounds_are_played_out_as_step_by_step(prices: bool) -> 
     for one, row in zip(modules, weights, strict=True):
         nn.utils.vector_to_parameters(row, one.parameters())
 
-    def rate(obs: torch.Tensor) -> torch.Tensor:
-        return torch.cat([one(part) for one, part in zip(modules, obs.split(2), strict=True)])
+    def rate(seen: torch.Tensor) -> torch.Tensor:
+        return torch.stack([one(part) for one, part in zip(modules, seen, strict=True)])
 
-    for _ in play_steps(other, rate, masking=True):
+    for _ in play_steps(other, rate, networks=2, masking=True):
         pass
     metrics = [[p.engine.metrics(m) for m in range(4)] for p in (player, other)]
     assert metrics[0] == metrics[1]

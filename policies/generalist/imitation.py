@@ -196,7 +196,8 @@ class Imitation(Learner):
             with torch.no_grad():
                 seen = torch.from_numpy(now.obs[:, 0]).to(self.device)
                 scores = view(seen[None])[0].cpu().numpy()
-            self.explore.sample(now, self._led(scores, regrets)[:, None], True, chance)
+            led = self._led(scores, regrets)[:, None]
+            self.explore.sample(now, player.movers, led, True, chance)
             self._remember(now.obs[:, 0], regrets, learns)
             self.last[0] = now.agents[:, 0]
             player.step()

@@ -162,7 +162,8 @@ class DeviceTrainer:
         module = self.saved.module(weights)
         player = player_of(self.config.env, list(self.problems.values()))
         player.reset()
-        for _ in play_steps(player, module, masking=self.config.learner.options.masking):
+        masking = self.config.learner.options.masking
+        for _ in play_steps(player, lambda seen: module(seen[0])[None], masking=masking):
             pass
         played = int(self.episodes[0])
         found = {name: (played, player.engine.metrics(m)) for m, name in enumerate(self.names)}

@@ -54,6 +54,7 @@ class Exploration(PerNetworkState):
     def sample(
         self,
         now: StepBuffers,
+        movers: NDArray[np.bool_],
         scores: NDArray[np.float32],
         masking: bool,
         chance: NDArray[np.float32],
@@ -62,12 +63,13 @@ class Exploration(PerNetworkState):
 
         Args:
             now: the player's buffers, of M games of K rows.
+            movers: (M, K) rows whose agents move in the next step, see :attr:`.Player.movers`.
             scores: (M, K, 6) logits of the moves.
             masking: whether only moves that cross an edge are chosen.
             chance: (M, K) filled with the log-probabilities of the chosen moves.
         """
         _sample(
-            self.keys.reshape(-1), self.counters.reshape(-1), now.active, now.mask, scores,
+            self.keys.reshape(-1), self.counters.reshape(-1), movers, now.mask, scores,
             masking, now.actions, chance,
         )  # fmt: skip
 
@@ -121,14 +123,14 @@ def choose(
 
 @compiled
 def _sample(
-    keys: Any, counters: Any, active: Any, masks: Any, scores: Any, masking: bool, actions: Any,
+    keys: Any, counters: Any, movers: Any, masks: Any, scores: Any, masking: bool, actions: Any,
     chance: Any,
 ) -> None:  # fmt: skip
     for m in range(len(keys)):
         asked = False
-        for k in range(active.shape[1]):
+        for k in range(movers.shape[1]):
             actions[m, k] = NOBODY
-            if not active[m, k]:
+            if not movers[m, k]:
                 continue
             asked = True
             most = np.float32(-np.inf)

@@ -196,12 +196,12 @@ class Learner(PerNetworkState, abc.ABC):
             greedy.play_out(player, layers, weights, masking=masking)
             return
         view = self.networks.part(networks)
-
-        def rate(obs: Tensor) -> Tensor:
-            each = obs.to(self.device).view(len(networks), -1, *obs.shape[1:])
-            return view(each).flatten(0, 1)
-
-        for _ in play_steps(player, rate, masking=masking):
+        for _ in play_steps(
+            player,
+            lambda seen: view(seen.to(self.device)),
+            networks=len(networks),
+            masking=masking,
+        ):
             pass
 
     def _games(self, array: NDArray[Any]) -> NDArray[Any]:
@@ -210,26 +210,49 @@ class Learner(PerNetworkState, abc.ABC):
 
 
 def play_steps(
-    player: Player, rate: Callable[[Tensor], Tensor], *, masking: bool
+    player: Player, rate: Callable[[Tensor], Tensor], *, networks: int = 1, masking: bool
 ) -> Iterator[None]:
     """Plays the games of a player to their end, always by the move that is rated highest.
 
     Args:
-        player: its episodes have begun.
-        rate: (B, *S) float32 observations to (B, A) ratings of the actions.
+        player: of M games, whose episodes have begun.
+        rate: (L, B, *S) float32 observations to (L, B, A) ratings of the actions, by L networks.
+        networks: L, how many networks play M/L games each, one network's after another's.
         masking: whether only moves that cross an edge are chosen.
 
     Yields:
         After every step.
     """
     b = player.buffers
-    obs, mask = torch.from_numpy(b.obs).flatten(0, 1), b.mask.reshape(-1, b.mask.shape[2])
     while b.active.any():
+        movers = player.movers
+        where, seen = by_network(networks, b.obs, movers)
         with torch.no_grad():
-            moves = best_moves(rate(obs), mask if masking else None)
-        b.actions[:] = np.where(b.active, moves.reshape(b.actions.shape), NOBODY)
+            ratings = rate(torch.from_numpy(seen))[torch.from_numpy(where)]
+        b.actions[:] = NOBODY
+        b.actions[movers] = best_moves(ratings, b.mask[movers] if masking else None)
         player.step()
         yield
+
+
+def by_network(
+    networks: int, rows: NDArray[np.float32], which: NDArray[np.bool_]
+) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+    """Some rows of games, side by side for networks that each play as many games.
+
+    Args:
+        networks: L.
+        rows: (M, K, …) of all games.
+        which: (M, K) which of them.
+
+    Returns:
+        (L, B) where there is a row, and (L, B, …) the rows in the order of ``which``, else zeros.
+    """
+    counts = which.reshape(networks, -1).sum(axis=1)
+    where = np.arange(counts.max(initial=0)) < counts[:, None]
+    out = np.zeros((*where.shape, *rows.shape[2:]), np.float32)
+    out[where] = rows[which]
+    return where, out
 
 
 def best_moves(outputs: Tensor, mask: NDArray[np.int8] | None) -> NDArray[np.int16]:

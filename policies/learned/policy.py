@@ -11,7 +11,7 @@ from typing import Annotated, Any, NotRequired, TypedDict
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import nn
+from torch import Tensor, nn
 
 from marouting import EnvOptions, InputError, PolicyResult, Problem, Solution, evaluate_policy
 from marouting.batch.engine import Engine
@@ -33,13 +33,17 @@ def player_of(
     env: EnvOptions,
     problems: Sequence[Problem] | ProblemSampler,
     negotiation: Negotiation | None = None,
+    *,
+    trains: bool = False,
 ) -> Player:
-    """A player of the game that a configuration's ``env`` describes, for learners.
+    """A player of the game that a configuration's ``env`` describes, for networks.
 
     Args:
         env: the options.
         problems: the problems, or what games draw theirs from.
         negotiation: how nets negotiate; None: they do not.
+        trains: whether a learner is to see what each agent is paid, also those that wait for their
+            turn: then each has a row in sequential order as well, with ``agents: multi``.
 
     Raises:
         InputError: the problems do not go together.
@@ -55,7 +59,7 @@ def player_of(
         turn_order=env.turn_order or ORDERS[env.agents],
     )
     observation, reward = env.observation.make(), env.reward.make()
-    everyone = env.agents == "multi"
+    everyone = env.agents == "multi" and (trains or not engine.static.sequential)
     return Player(engine, observation, reward, everyone=everyone, draws=draws, turned=True)
 
 
@@ -188,6 +192,11 @@ class TrainedPolicy:
         best = best_moves(ratings, turned if self.masking else None)
         return np.take_along_axis(order, best[:, None].astype(np.int64), -1)[:, 0].astype(np.int16)
 
+    def _rate(self, seen: Tensor) -> Tensor:
+        """Ratings for :func:`.play_steps`, by one network."""
+        ratings: Tensor = self.module(seen[0])[None]
+        return ratings
+
     def evaluate(self, scenario: str, split: Split = "test") -> PolicyResult:
         """Its figures on a split of a scenario, in the game that it was trained in.
 
@@ -240,7 +249,7 @@ class TrainedPolicy:
             weights = nn.utils.parameters_to_vector(self.module.parameters()).detach()
             greedy.play_out(player, layers, weights[None].numpy(), masking=self.masking)
         else:
-            for _ in play_steps(player, self.module, masking=self.masking):
+            for _ in play_steps(player, self._rate, masking=self.masking):
                 pass
         return Routed(player.engine.solution(), {"from": self.origin})
 
@@ -256,5 +265,5 @@ class TrainedPolicy:
         player = self.check(problem)
         player.reset()
         yield player.engine
-        for _ in play_steps(player, self.module, masking=self.masking):
+        for _ in play_steps(player, self._rate, masking=self.masking):
             yield player.engine

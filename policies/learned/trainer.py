@@ -105,7 +105,7 @@ class Trainer:
         else:
             self._copies = int(getattr(learner.options, "num_envs", 1))
             source = [problem for problem in problems.values() for _ in range(self._copies)]
-        self.player = player_of(config.env, source, train.negotiation)
+        self.player = player_of(config.env, source, train.negotiation, trains=True)
         b = self.player.buffers
         shapes = [p.buffers.obs.shape[2:] for p in (self._whole, self.player)]
         what = f"the same shape for all problems, found {shapes[0]} and {shapes[1]}"

@@ -31,7 +31,7 @@ from marouting.game import Ending
 from marouting.observations import state_of
 from marouting.player import Player
 from policies.learned.exploration import Exploration
-from policies.learned.learner import Learner, Setup
+from policies.learned.learner import Learner, Setup, by_network
 from policies.learned.memory.pre_step import PreStep
 from policies.learned.memory.rollout import LONGEST, Rollout, shuffled
 from policies.learned.networks.adam import Adam
@@ -160,8 +160,9 @@ class PPO(Learner):
         for _ in range(steps):
             before = PreStep.of(player)
             states = self._states(player)
-            scores, values = self._look(now.obs, now.active, states)
-            self.explore.sample(now, scores, self.options.masking, chance)
+            movers = player.movers
+            scores, values = self._look(now.obs, movers, states)
+            self.explore.sample(now, movers, scores, self.options.masking, chance)
             player.step()
             failed = now.acted & (now.ending == Ending.FAILED) & (not self.options.final_failures)
             states_after = self._states(player) if failed.any() else None
@@ -206,10 +207,7 @@ class PPO(Learner):
         self, obs: NDArray[np.float32], asked: NDArray[np.bool_], states: Any
     ) -> tuple[NDArray[np.bool_], Tensor, Tensor]:
         """(L, B) where there is a row, (L, B, *S) what the actor sees, and what the critic does."""
-        counts = self._games(asked).sum(axis=(1, 2))
-        where = np.arange(counts.max(initial=0)) < counts[:, None]
-        inputs = np.zeros((*where.shape, *obs.shape[2:]), np.float32)
-        inputs[where] = obs[asked]
+        where, inputs = by_network(len(self.updates), obs, asked)
         actor = critic = torch.from_numpy(inputs).to(self.device)
         if states is not None:
             games = np.nonzero(asked)[0]
