@@ -90,7 +90,7 @@ COMMANDS = {
     "train, drawn": Command(
         lambda folder: training(folder, shared=True, games=3, problem=test_run.DRAWN),
         test_run.outcome,
-        3,
+        2,
         25,
     ),
     "train, multi": Command(

@@ -815,7 +815,7 @@ def few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("policies.learned.trainer._STEPS", 3)
 
 
-@pytest.mark.parametrize(("kind", "agents", "shared"), pairs())
+@pytest.mark.parametrize(("kind", "agents", "shared"), [*pairs()])
 @pytest.mark.usefixtures("few_steps")
 def test_every_learner_goes_on_from_a_state(kind: str, agents: str, shared: bool) -> None:
     goes_on({"p": tiny(), "q": tiny(1, nets=2)}, kind_config(kind, agents, shared), 5)
