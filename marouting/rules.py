@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from marouting.checks import check_fields
 from marouting.errors import InputError
-from marouting.problem.grid import MOVES, VIA_AXIS
+from marouting.problem.grid import MOVES
 from marouting.problem.problem import Problem
 from marouting.trees.decomposition import Decomposition
 
@@ -155,6 +155,5 @@ class Rules:
 
 def net_ranks(problem: Problem, order: NetOrder) -> NDArray[np.int64]:
     """(nets,) numbers by which nets are ordered, lowest first; equal ones stay in file order."""
-    low, high = problem.pin_boxes()
     sign = {"half_perimeter": -1, "half_perimeter_up": 1, "file": 0}[order]
-    return sign * (high - low)[:, :VIA_AXIS].sum(axis=1)
+    return sign * problem.half_perimeters

@@ -186,6 +186,65 @@ def test_vias_cost_what_their_layer_says() -> None:
         router(via_weight=(1.0,)).solve(problem)
 
 
+def two_layers(length: int, above: tuple[Adjustment, ...] = ()) -> Problem:
+    """A straight net in the lower one of two layers."""
+    net = Net("n", 0, (Pin(0, 0, 1), Pin(length, 0, 1)))
+    one = (1, 1)
+    size = (length + 1, 1, 2)
+    return Problem(size, (0, 0), one, (net,), one, (0, 0), (0, 0), adjustments=above)
+
+
+@pytest.mark.parametrize(
+    ("length", "weight", "vias"),
+    [(6, 0.5, 2), (6, 0.25, 0), (5, 0.5, 0)],  # two vias cost more than 6 * 0.25; 5 is not long
+)
+def test_long_nets_prefer_layers(length: int, weight: float, vias: int) -> None:
+    problem = two_layers(length)
+    routed = router(prefer_layers="2..", prefer_from=6, prefer_weight=weight).solve(problem)
+    judged = evaluate(problem, routed.solution)
+    assert (judged.overflow, judged.wirelength, judged.vias) == (0, length + vias, vias)
+    paid = weight * length if length >= 6 and not vias else 0.0
+    assert routed.history[-1].wirelength == judged.wirelength + paid
+
+
+def test_a_preference_forbids_nothing() -> None:
+    """Where the preferred layer is full, the net stays below: there is no overflow."""
+    problem = two_layers(6, (Adjustment(3, 0, 2, 4, 0, 2, 0),))
+    options = {"prefer_layers": "2", "prefer_from": 6, "prefer_weight": 10.0}
+    routed = router(**options).solve(problem)
+    assert figures(problem, routed.solution) == (0, 10)  # above but for one edge
+    nowhere = two_layers(6, tuple(Adjustment(x, 0, 2, x + 1, 0, 2, 0) for x in range(6)))
+    assert figures(nowhere, router(**options).route(nowhere)) == (0, 6)
+
+
+@given(problems(max_nets=1), st.integers(0, 6), st.sampled_from([0.25, 1.5]), st.integers(0, 99))
+def test_two_pins_are_joined_at_the_least_cost_by_their_preference(
+    problem: Problem, least: int, weight: float, seed: int
+) -> None:
+    """That of networkx's shortest path, where there is one without overflow."""
+    pins = pin_gcells(problem, 0)
+    if len(pins) != 2:
+        return
+    grid, demand = problem.topology, problem.net_demand[0]
+    graph = networkx.empty_graph(grid.gcells)
+    for edge in np.flatnonzero(grid.exists.reshape(-1)):
+        gcell, axis = divmod(int(edge), AXES)
+        z = gcell % problem.grid[2]
+        wire = axis != VIA_AXIS
+        if not wire or demand[z] <= problem.capacity[edge]:
+            dear = wire and z > 0 and problem.half_perimeters[0] >= least
+            one, other = (int(end[0]) for end in grid.ends(np.array([edge])))
+            graph.add_edge(one, other, weight=1 + weight * dear)
+    options = {"prefer_layers": "1", "prefer_from": least, "prefer_weight": weight, "seed": seed}
+    routed = router(**options).solve(problem)
+    ends = [grid.number(*pin) for pin in pins]
+    if not networkx.has_path(graph, *ends):
+        return
+    best = min((done.overflow, done.wirelength) for done in routed.history)
+    expected = networkx.shortest_path_length(graph, *ends, "weight")
+    assert best == (0, pytest.approx(expected))
+
+
 @pytest.mark.parametrize(("crowding", "wirelength"), [(0.0, 8), (0.4, 8), (2.0, 10)])
 def test_edges_cost_more_before_they_are_full(crowding: float, wirelength: int) -> None:
     """Side by side, two nets pay ``crowding`` / 2 for each of four edges; apart, two edges."""
@@ -919,6 +978,13 @@ def test_is_a_router() -> None:
     ("options", "message"),
     [
         ({"via_weight": -1.0}, "via_weight: expected a number from 0 to 1000"),
+        ({"prefer_layers": "2.."}, "prefer_layers: expected prefer_from beside it"),
+        ({"prefer_from": 4}, "prefer_from: expected prefer_layers beside it"),
+        ({"prefer_weight": -1.0}, "prefer_weight: expected a number from 0 to 1000"),
+        (
+            {"prefer_layers": 2, "prefer_from": 4, "cost": "ispd2024"},
+            "prefer_layers: expected none with cost: ispd2024",
+        ),
         ({"exact_pins": 1}, "exact_pins: expected a number from 2 to 9"),
         ({"exact_pins": 10}, "exact_pins: expected a number from 2 to 9"),
         ({"margin": -1}, "margin: expected a number from 0"),

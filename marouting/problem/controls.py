@@ -191,8 +191,17 @@ def adjusted(problem: Problem, controls: Controls) -> Problem:
 # --- Layers ---------------------------------------------------------------------------------------
 
 
-def _layers_of(problem: Problem, name: str, given: str | int | None) -> NDArray[np.bool_]:
-    """(Z,) which layers a range means; all for None."""
+def layers_of(problem: Problem, name: str, given: str | int | None) -> NDArray[np.bool_]:
+    """(Z,) which layers of a problem a range means; all for None.
+
+    Args:
+        problem: with the layers and their names.
+        name: of the option, for messages.
+        given: a number from 1, a name, or a range of them such as ``2..6`` or ``met1..``.
+
+    Raises:
+        InputError: there are no such layers.
+    """
     count, names = problem.grid[2], problem.chip_or_default.layers
     if given is None:
         return np.ones(count, np.bool_)
@@ -222,8 +231,7 @@ def _allowed_layers(problem: Problem, controls: Controls) -> NDArray[np.bool_]:
     signal = _wired(problem, "layers", controls.layers)
     allowed = np.tile(signal, (len(problem.nets), 1))
     if controls.long_layers is not None and controls.long_nets is not None:
-        low, high = problem.pin_boxes()
-        long = (high - low)[:, :VIA_AXIS].sum(axis=1) >= controls.long_nets
+        long = problem.half_perimeters >= controls.long_nets
         allowed[long] = _wired(problem, "long_layers", controls.long_layers)
     if controls.clock_layers is not None:
         clock = _named(problem, "clock_nets", controls.clock_nets)
@@ -235,8 +243,8 @@ def _allowed_layers(problem: Problem, controls: Controls) -> NDArray[np.bool_]:
 
 
 def _wired(problem: Problem, name: str, given: str | int | None) -> NDArray[np.bool_]:
-    """:func:`_layers_of`; raises InputError if they lack wires along an axis that others have."""
-    layers = _layers_of(problem, name, given)
+    """:func:`layers_of`; raises InputError if they lack wires along an axis that others have."""
+    layers = layers_of(problem, name, given)
     there = problem.layer_capacity[:, :VIA_AXIS] > 0
     edge, capacity = problem.adjusted
     rows = edge[capacity > 0]
@@ -274,7 +282,7 @@ def _reduced(
     layers = problem.grid[2]
     factor = open_layers.astype(np.float64)
     for name, share in controls.derate.items():
-        factor[_layers_of(problem, f"derate.{name}", name)] *= share
+        factor[layers_of(problem, f"derate.{name}", name)] *= share
     edge = problem.adjusted[0]
     regions = [_edges_in(problem, number, area) for number, area in enumerate(controls.areas)]
     edge = distinct(np.concatenate((edge, *regions)))
@@ -302,7 +310,7 @@ def _edges_in(problem: Problem, number: int, area: Area) -> NDArray[np.int64]:
             f"a first and a last one from 0 to {most}, found {[first, last]}",
         )
         ranges.append((first, last, most))
-    z = np.flatnonzero(_layers_of(problem, f"areas.{number}.layers", area.layers))
+    z = np.flatnonzero(layers_of(problem, f"areas.{number}.layers", area.layers))
     found = []
     for axis in range(VIA_AXIS):
         begin = [first for first, _, _ in ranges]

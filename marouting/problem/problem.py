@@ -329,6 +329,13 @@ class Problem:
         at = np.stack(np.unravel_index(gcell, self.grid), axis=1)
         return np.stack([end.reduceat(at, first[:-1]) for end in (np.minimum, np.maximum)])
 
+    @property
+    def half_perimeters(self) -> NDArray[np.int64]:
+        """(nets,) columns plus rows of the bounding box of each net's pins, in edges."""
+        low, high = self.pin_boxes()
+        half: NDArray[np.int64] = (high - low)[:, :VIA_AXIS].sum(axis=1)
+        return half
+
     @functools.cached_property
     def pin_gcells(self) -> tuple[NDArray[np.int64], ...]:
         """For each net the numbers of the Gcells that hold its pins, each once, in pin order."""

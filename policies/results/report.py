@@ -162,8 +162,7 @@ def steiner_bounds(problem: Problem) -> tuple[NDArray[np.int64], NDArray[np.bool
     bound = np.empty(len(few), np.int64)
     bound[few] = _tree_lengths(key % columns, first, few, grid, "steiner")
     spanning = _tree_lengths(key % columns, first, ~few, grid, "mst")
-    low, high = problem.pin_boxes()
-    half = (high - low)[:, :2].sum(axis=1)
+    half = problem.half_perimeters
     bound[~few] = np.maximum(half[~few], -(-2 * spanning // 3))
     return bound, few
 

@@ -45,10 +45,10 @@ def via_cost(problem: ProblemArrays, gcell: int) -> int:
 
 
 @compiled
-def wire_cost(problem: ProblemArrays, edge: int) -> int:
-    """The length of an edge inside a layer."""
+def wire_cost(problem: ProblemArrays, net: int, layer: int, edge: int) -> int:
+    """The length of an edge inside a layer, and what the net pays for not preferring the layer."""
     if not problem.contest:
-        return i64(UNIT)
+        return i64(UNIT + problem.aversion[net, layer])
     gcell = edge // AXES
     axis = edge - AXES * gcell
     return i64(problem.wire[axis, problem.position[gcell, axis]])
@@ -80,15 +80,16 @@ def use_cost(problem: ProblemArrays, routing: Routing, edge: int, more: int) -> 
 
 
 @compiled
-def edge_cost(problem: ProblemArrays, routing: Routing, edge: int, demand: int, own: int) -> int:
-    """The cost of an edge inside a layer to a net that would take ``demand`` tracks of it.
+def edge_cost(
+    problem: ProblemArrays, routing: Routing, net: int, layer: int, edge: int, own: int
+) -> int:
+    """The cost of an edge inside a layer to a net, FULL or more if it should avoid it at all costs.
 
-    Of these it takes ``own`` at the moment. The cost is FULL or more if the net should avoid the
-    edge at all costs.
+    ``own`` is 1 if it is an edge of the net's tree at the moment, otherwise 0.
     """
-    kind, length = routing.progress[0].kind, i64(UNIT)
+    kind, demand = routing.progress[0].kind, i64(problem.demand[net, layer])
+    length, own = wire_cost(problem, net, layer, edge), own * demand
     if problem.crowding > 0:
-        length = wire_cost(problem, edge)
         more = use_cost(problem, routing, edge, 2 * (demand - own))
         length += min(more - use_cost(problem, routing, edge, -2 * own), i64(FULL // 2))
         if problem.contest:  # only by controls nets take more than a track
@@ -131,8 +132,8 @@ def tree_cost(
                         cost += use_cost(problem, routing, beside, (1 - own) * halves)
                         cost -= use_cost(problem, routing, beside, -own * halves)
         else:
-            demand = i64(problem.demand[net, problem.position[gcell, VIA_AXIS]])
-            cost += edge_cost(problem, routing, edge, demand, own * demand)
+            layer = i64(problem.position[gcell, VIA_AXIS])
+            cost += edge_cost(problem, routing, net, layer, edge, own)
     return cost
 
 
@@ -256,7 +257,6 @@ def set_costs(
         for y in range(ny):
             gcell = ((low[0] + x) * problem.size[1] + low[1] + y) * layers + low[2]
             for z in range(nz):
-                demand = i64(problem.demand[net, low[2] + z])
                 beside = ny * nz
                 for axis in range(AXES):
                     at, last = x, nx - 1
@@ -273,7 +273,7 @@ def set_costs(
                         cost = i64(problem.height[low[2] + z + 1] - problem.height[low[2] + z])
                     else:
                         edge = AXES * (gcell + z) + axis
-                        cost = edge_cost(problem, routing, edge, demand, i64(0))
+                        cost = edge_cost(problem, routing, net, low[2] + z, edge, i64(0))
                         if cost >= limit or problem.capacity[edge] < 0:
                             cost = i64(CLOSED)
                         else:
@@ -288,8 +288,8 @@ def set_costs(
         axis = edge - AXES * gcell
         if axis == VIA_AXIS:
             continue
-        demand = i64(problem.demand[net, problem.position[gcell, VIA_AXIS]])
-        cost = edge_cost(problem, routing, edge, demand, demand)
+        layer = i64(problem.position[gcell, VIA_AXIS])
+        cost = edge_cost(problem, routing, net, layer, edge, i64(1))
         if cost < limit:
             at = problem.position[gcell, axis] - low[axis] + 1
             lattice.line[axis, at] = min(lattice.line[axis, at], cost)

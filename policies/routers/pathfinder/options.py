@@ -32,6 +32,13 @@ class PathfinderOptions:
             beyond ``crowded_from``. Wirelength and this cost together are what is least, after
             overflow. 0: edges cost the same up to their capacity.
         crowded_from: share of an edge's capacity from which on it costs more.
+        prefer_layers: the layers that long nets prefer, given as in :class:`marouting.Controls`;
+            None: none. Unlike the control ``long_layers`` this forbids nothing: a wire costs more
+            in other layers.
+        prefer_from: half the perimeter of the pins' bounding box, in Gcells, from which a net is
+            long.
+        prefer_weight: what a wire of a long net costs more in other layers, in edges. Wirelength
+            and this cost together are what is least, after overflow.
         exact_pins: nets with at most this many pins get a cheapest tree, provided that their box is
             small, and in negotiating passes, which are many, smaller still. The paper's problems
             have at most 5 pins per net. Each further pin triples the time.
@@ -99,6 +106,9 @@ class PathfinderOptions:
     via_weight: float | tuple[float, ...] = 1.0
     crowding: float = 0.0
     crowded_from: float = 0.5
+    prefer_layers: str | int | None = None
+    prefer_from: int | None = None
+    prefer_weight: float = 0.5
     exact_pins: int = 5
     margin: int = 2
     present_factor: float = 0.1
@@ -128,12 +138,18 @@ class PathfinderOptions:
     def __post_init__(self) -> None:
         for name, (least, most) in _RANGES.items():
             found = getattr(self, name)
+            if found is None:
+                continue
             fits = all(
                 least <= n <= most for n in (found if isinstance(found, tuple) else (found,))
             )
             check(name, fits, f"a number from {least} to {most}")
         check("crowded_from", self.crowded_from < 1, "a number from 0, below 1")
         check("present_factor", self.present_factor > 0, "a number above 0, up to 1000")
+        layers, least = self.prefer_layers is not None, self.prefer_from is not None
+        check("prefer_layers", least or not layers, "prefer_from beside it, from what length")
+        check("prefer_from", layers or not least, "prefer_layers beside it, a range of layers")
+        check("prefer_layers", not layers or self.cost == "wirelength", "none with cost: ispd2024")
         check("seconds", self.seconds is None or self.seconds >= 0, "a number from 0, or null")
 
     @property
@@ -146,6 +162,8 @@ _RANGES = {
     "via_weight": (0, 1000),
     "crowding": (0, 1000),
     "crowded_from": (0, 1),
+    "prefer_from": (0, MOST),
+    "prefer_weight": (0, 1000),
     "exact_pins": (2, 9),
     "margin": (0, MOST),
     "present_factor": (0, 1000),

@@ -46,12 +46,12 @@ def _straight(
     x, y = (low, across) if axis == 0 else (across, low)
     for z in range(problem.size[2]):
         gcell = (x * problem.size[1] + y) * problem.size[2] + z
-        demand, total = i64(problem.demand[net, z]), i64(0)
+        total = i64(0)
         for _ in range(high - low):
             edge = AXES * gcell + axis
             if problem.capacity[edge] < 0:
                 total += _NEVER
-            total += edge_cost(problem, routing, edge, demand, i64(0))
+            total += edge_cost(problem, routing, net, i64(z), edge, i64(0))
             gcell += step
         cost[z] = total
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from marouting import InputError, Problem, Solution, evaluate
 from marouting.memory import NEGOTIATION, check_memory
+from marouting.problem.controls import layers_of
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.trees.exact_tree import Search, make_search
 from marouting.trees.lattice import Lattice, make_lattice
@@ -82,6 +83,7 @@ class ProblemArrays(NamedTuple):
     position: NDArray[np.int32]  # (G, 3) x, y, z of each Gcell
     capacity: NDArray[np.int32]  # (E,) in tracks; negative where there must be no wires
     demand: NDArray[np.int32]  # (N, Z) tracks that a net takes from an edge in a layer
+    aversion: NDArray[np.int32]  # (N, Z) what a net's wire costs more in a layer, in units of cost
     first: NDArray[np.int64]  # (N + 1,) a net's pins are pin[first[net] : first[net + 1]]
     pin: NDArray[np.int64]  # (pins,) their Gcells
     height: NDArray[np.int64]  # (Z,) what the vias up to a layer from the lowest one cost
@@ -153,6 +155,16 @@ def _height(problem: Problem, options: PathfinderOptions) -> NDArray[np.int64]:
     return np.cumsum([0, *(round(weight * UNIT) for weight in weights)])
 
 
+def _aversion(problem: Problem, options: PathfinderOptions) -> NDArray[np.int32]:
+    """(N, Z) what a wire of a net costs more in a layer, because the net prefers others."""
+    cost = np.zeros((len(problem.nets), problem.grid[VIA_AXIS]), np.int32)
+    if options.prefer_layers is not None and options.prefer_from is not None:
+        preferred = layers_of(problem, "prefer_layers", options.prefer_layers)
+        long = problem.half_perimeters >= options.prefer_from
+        cost[np.ix_(long, ~preferred)] = round(options.prefer_weight * UNIT)
+    return cost
+
+
 def _capacity(problem: Problem) -> NDArray[np.int32]:
     """(E,) the capacity of every edge; -1 for wires along an axis on which a layer has none.
 
@@ -179,6 +191,7 @@ def make_arrays(problem: Problem, options: PathfinderOptions) -> tuple[ProblemAr
         position=grid.position,
         capacity=_capacity(problem),
         demand=problem.net_demand,
+        aversion=_aversion(problem, options),
         first=first,
         pin=pin,
         height=_height(problem, options),
@@ -195,8 +208,7 @@ def make_arrays(problem: Problem, options: PathfinderOptions) -> tuple[ProblemAr
         along=np.empty(0, np.int64),
     )
     # Short nets come first: they have fewer ways to choose from.
-    low, high = problem.pin_boxes()
-    extent = (high - low)[:, :VIA_AXIS].sum(axis=1)
+    extent = problem.half_perimeters
     progress = np.zeros(1, PROGRESS)
     progress["random"] = options.seed
     progress["kind"] = PATTERN

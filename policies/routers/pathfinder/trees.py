@@ -60,10 +60,10 @@ def use_tree(problem: ProblemArrays, routing: Routing, net: int, sign: int) -> N
             if problem.contest:
                 _use_via(problem, routing, net, gcell, sign)
             continue
-        progress.length += sign * wire_cost(problem, edge)
+        layer = i64(problem.position[gcell, VIA_AXIS])
+        progress.length += sign * wire_cost(problem, net, layer, edge)
         progress.length -= use_cost(problem, routing, edge, i64(0))
         over = max(-routing.remaining[edge], 0)
-        layer = problem.position[gcell, VIA_AXIS]
         routing.remaining[edge] -= sign * i64(problem.demand[net, layer])
         progress.length += use_cost(problem, routing, edge, i64(0))
         if not problem.contest:
@@ -124,10 +124,11 @@ def tree_length(problem: ProblemArrays, routing: Routing, net: int) -> int:
     length = i64(0)
     for i in range(routing.start[net], routing.start[net] + routing.length[net]):
         edge = i64(routing.edge[i])
-        if edge % AXES == VIA_AXIS:
-            length += via_cost(problem, edge // AXES)
+        gcell = edge // AXES
+        if edge - AXES * gcell == VIA_AXIS:
+            length += via_cost(problem, gcell)
         else:
-            length += wire_cost(problem, edge)
+            length += wire_cost(problem, net, i64(problem.position[gcell, VIA_AXIS]), edge)
     return length
 
 
