@@ -214,7 +214,35 @@ def test_a_preference_forbids_nothing() -> None:
     routed = router(**options).solve(problem)
     assert figures(problem, routed.solution) == (0, 10)  # above but for one edge
     nowhere = two_layers(6, tuple(Adjustment(x, 0, 2, x + 1, 0, 2, 0) for x in range(6)))
-    assert figures(nowhere, router(**options).route(nowhere)) == (0, 6)
+    for wrong, preferred in ((nowhere, "2"), (problem, "..")):
+        with pytest.raises(InputError, match="prefer_layers: expected some of the layers in which"):
+            router(**{**options, "prefer_layers": preferred}).route(wrong)
+
+
+def test_preferred_layers_are_reached_from_any_start(tmp_path: Path) -> None:
+    """Seven layers above the tree to begin with, beyond the boxes of other nets."""
+    one, none = (1,) * 9, (0,) * 9
+    net = Net("n", 0, (Pin(0, 0, 1), Pin(30, 0, 1)))
+    problem = Problem((31, 1, 9), none, one, (net,), one, none, none)
+    router().route(problem).write(tmp_path / "low.solution")
+    options = {"prefer_layers": "8..", "prefer_from": 5, "prefer_weight": 10.0, "passes": 20}
+    for start in (None, str(tmp_path / "low.solution")):
+        routed = router(**options, start=start).solve(problem)
+        assert figures(problem, routed.solution) == (0, 30 + 14)
+
+
+def test_no_search_ends_as_if_a_way_around_were_no_cheaper() -> None:
+    """In the box around the pins the preferred layer is closed, but not beyond it."""
+    wall = tuple(Adjustment(9, y, 2, 10, y, 2, 0) for y in range(7, 14))
+    net, one = Net("n", 0, (Pin(0, 10, 1), Pin(19, 10, 1))), (1, 1)
+    problem = Problem((20, 21, 2), one, one, (net,), one, (0, 0), (0, 0), adjustments=wall)
+    routed = router(prefer_layers=2, prefer_from=5, prefer_weight=5, passes=3).solve(problem)
+    assert routed.stop == "passes"
+
+
+def test_preferences_do_not_keep_it_from_warming_up() -> None:
+    """On a problem that has fewer layers."""
+    router(prefer_layers=8, prefer_from=5).warm_up(two_layers(6))
 
 
 @given(problems(max_nets=1), st.integers(0, 6), st.sampled_from([0.25, 1.5]), st.integers(0, 99))
@@ -223,7 +251,8 @@ def test_two_pins_are_joined_at_the_least_cost_by_their_preference(
 ) -> None:
     """That of networkx's shortest path, where there is one without overflow."""
     pins = pin_gcells(problem, 0)
-    if len(pins) != 2:
+    layers = problem.capacity.reshape(-1, problem.grid[2], AXES)
+    if len(pins) != 2 or problem.grid[2] == 1 or not layers[:, 0, :VIA_AXIS].any():
         return
     grid, demand = problem.topology, problem.net_demand[0]
     graph = networkx.empty_graph(grid.gcells)
@@ -979,8 +1008,9 @@ def test_is_a_router() -> None:
     [
         ({"via_weight": -1.0}, "via_weight: expected a number from 0 to 1000"),
         ({"prefer_layers": "2.."}, "prefer_layers: expected prefer_from beside it"),
+        ({"prefer_weight": 2.0}, "prefer_weight: expected prefer_layers and prefer_from beside"),
         ({"prefer_from": 4}, "prefer_from: expected prefer_layers beside it"),
-        ({"prefer_weight": -1.0}, "prefer_weight: expected a number from 0 to 1000"),
+        ({"prefer_weight": -1.0}, "prefer_weight: expected a number from 0.01 to 16"),
         (
             {"prefer_layers": 2, "prefer_from": 4, "cost": "ispd2024"},
             "prefer_layers: expected none with cost: ispd2024",

@@ -16,7 +16,7 @@ What is set here, of BenchMARL 1.5's options (``benchmarl/conf``):
 
 ==============================  ==========  ========================================================
 ``lr``                          5e-4        5e-5, the default, is for ten times as many frames
-``gamma``                       0.99        as our learners have
+``gamma``                       0.99        as our PPO has
 ``polyak_tau``                  0.01        not 0.005: the targets follow twice as fast
 moves between updates           3200        of 64 games
 optimiser steps, of moves       40, of 640  a move is learned from eight times

@@ -185,7 +185,8 @@ class Learner(PerNetworkState, abc.ABC):
         """Plays the games of a player to their end, without exploration.
 
         Args:
-            player: of M games, whose episodes have just begun.
+            player: of M games, whose episodes have just begun. In sequential order it has one row a
+                game, that of the agent whose turn it is.
             networks: (R,) the rows of the networks that play M/R games each, one network's after
                 another's.
         """

@@ -46,7 +46,7 @@ def via_cost(problem: ProblemArrays, gcell: int) -> int:
 
 @compiled
 def wire_cost(problem: ProblemArrays, net: int, layer: int, edge: int) -> int:
-    """The length of an edge inside a layer, and what the net pays for not preferring the layer."""
+    """The length of an edge inside a layer, and what the net pays if it prefers other layers."""
     if not problem.contest:
         return i64(UNIT + problem.aversion[net, layer])
     gcell = edge // AXES

@@ -37,7 +37,7 @@ class PathfinderOptions:
             in other layers.
         prefer_from: half the perimeter of the pins' bounding box, in Gcells, from which a net is
             long.
-        prefer_weight: what a wire of a long net costs more in other layers, in edges. Wirelength
+        prefer_weight: what each edge of a long net costs more in other layers, in edges. Wirelength
             and this cost together are what is least, after overflow.
         exact_pins: nets with at most this many pins get a cheapest tree, provided that their box is
             small, and in negotiating passes, which are many, smaller still. The paper's problems
@@ -148,6 +148,8 @@ class PathfinderOptions:
         check("present_factor", self.present_factor > 0, "a number above 0, up to 1000")
         layers, least = self.prefer_layers is not None, self.prefer_from is not None
         check("prefer_layers", least or not layers, "prefer_from beside it, from what length")
+        usual = self.prefer_weight == PathfinderOptions.prefer_weight
+        check("prefer_weight", layers or usual, "prefer_layers and prefer_from beside it")
         check("prefer_from", layers or not least, "prefer_layers beside it, a range of layers")
         check("prefer_layers", not layers or self.cost == "wirelength", "none with cost: ispd2024")
         check("seconds", self.seconds is None or self.seconds >= 0, "a number from 0, or null")
@@ -163,7 +165,7 @@ _RANGES = {
     "crowding": (0, 1000),
     "crowded_from": (0, 1),
     "prefer_from": (0, MOST),
-    "prefer_weight": (0, 1000),
+    "prefer_weight": (0.01, 16),  # with much more, overflow would cost less
     "exact_pins": (2, 9),
     "margin": (0, MOST),
     "present_factor": (0, 1000),

@@ -17,7 +17,7 @@ class Pass(NamedTuple):
 
     kind: Kind
     overflow: int  # in tracks
-    wirelength: float  # in edges, with the costs that the options give to vias and crowded edges
+    wirelength: float  # in edges, with what the options charge for vias, crowded edges and layers
     routed: int  # nets rerouted in this pass
 
 
@@ -27,9 +27,9 @@ class Routed:
 
     Attributes:
         solution: the solution with the least overflow after any pass, and among those the least
-            wirelength, vias weighted by ``via_weight``, and what crowded edges cost (with ``cost:
-            ispd2024`` the least cost). More time gives no worse one with the same seed, unless
-            ``least_gain`` ends the search.
+            wirelength, vias weighted by ``via_weight``, and what crowded edges and layers that long
+            nets do not prefer cost (with ``cost: ispd2024`` the least cost). More time gives no
+            worse one with the same seed, unless ``least_gain`` ends the search.
         seconds: time taken.
         history: every pass, in order; the first is that of patterns.
         stop: why the search ended.

@@ -60,6 +60,9 @@ class PathfinderRouter:
             schedule="standard",
             cost="wirelength",
             via_weight=1.0,
+            prefer_layers=None,
+            prefer_from=None,
+            prefer_weight=PathfinderOptions.prefer_weight,
         )
         PathfinderRouter(options).route(problem)
         if self.options.schedule == "tuned":  # which may use the linear program

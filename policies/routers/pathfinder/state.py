@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting import InputError, Problem, Solution, evaluate
+from marouting.config import check
 from marouting.memory import NEGOTIATION, check_memory
 from marouting.problem.controls import layers_of
 from marouting.problem.grid import AXES, VIA_AXIS
@@ -160,6 +161,9 @@ def _aversion(problem: Problem, options: PathfinderOptions) -> NDArray[np.int32]
     cost = np.zeros((len(problem.nets), problem.grid[VIA_AXIS]), np.int32)
     if options.prefer_layers is not None and options.prefer_from is not None:
         preferred = layers_of(problem, "prefer_layers", options.prefer_layers)
+        edges = problem.capacity.reshape(-1, problem.grid[VIA_AXIS], AXES)
+        wires = bool((edges[:, preferred, :VIA_AXIS] > 0).any()) and not preferred.all()
+        check("prefer_layers", wires, "some of the layers in which there may be wires")
         long = problem.half_perimeters >= options.prefer_from
         cost[np.ix_(long, ~preferred)] = round(options.prefer_weight * UNIT)
     return cost

@@ -224,6 +224,15 @@ def is_settled(problem: ProblemArrays, routing: Routing, net: int) -> bool:
 
 
 @compiled
+def _prefers(problem: ProblemArrays, net: int) -> bool:
+    """Whether a net prefers some layers."""
+    most = 0
+    for layer in range(problem.size[VIA_AXIS]):
+        most = max(most, problem.aversion[net, layer])
+    return most > 0
+
+
+@compiled
 def plan(problem: ProblemArrays, routing: Routing, memory: Memory, net: int) -> tuple[int, bool]:
     """Looks for a cheapest tree for a net, with the trees of all others in place.
 
@@ -236,7 +245,8 @@ def plan(problem: ProblemArrays, routing: Routing, memory: Memory, net: int) -> 
     lattice, search, buffers = memory
     progress = routing.progress[0]
     pins = problem.first[net + 1] - problem.first[net]
-    margin, layers, limit = problem.margin, i64(LAYERS), i64(FULL)
+    prefers, whole = _prefers(problem, net), problem.size[VIA_AXIS]
+    margin, layers, limit = problem.margin, whole if prefers else i64(LAYERS), i64(FULL)
     while True:
         points = set_box(problem, routing, memory, net, margin, layers)
         if points > len(buffers.pin):
@@ -271,10 +281,12 @@ def plan(problem: ProblemArrays, routing: Routing, memory: Memory, net: int) -> 
             break
         if lattice.size[0] == problem.size[0] and lattice.size[1] == problem.size[1]:
             limit = i64(FAR)
-        margin, layers = 2 * margin + 1, problem.size[VIA_AXIS]
+        margin, layers = 2 * margin + 1, whole
     # What is cheapest is also shortest only where edges in use cost no more than others.
     exact = exact and lattice.size[VIA_AXIS] == problem.size[VIA_AXIS]
     exact = exact and problem.crowding == 0
+    # Beyond the box, a way around full edges of a layer that the net prefers may cost less.
+    exact = exact and not prefers
     return list_tree(problem, lattice, buffers), exact
 
 
