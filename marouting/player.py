@@ -362,10 +362,15 @@ class Player:
         order or while one is asked whether to rip up its net, the row of that agent.
         """
         b, games = self.buffers, self.engine.games
-        alone = (games["asked"] != 0) | self.engine.static.sequential
         own_turn = b.agents == games["agent"][:, None]
-        movers: NDArray[np.bool_] = b.active & (own_turn | ~alone[:, None])
+        movers: NDArray[np.bool_] = b.active & (own_turn | ~self._alone[:, None])
         return movers
+
+    @property
+    def _alone(self) -> NDArray[np.bool_]:
+        """(M,) games in which only the agent whose turn it is may move."""
+        alone: NDArray[np.bool_] = (self.engine.games["asked"] != 0) | self.engine.static.sequential
+        return alone
 
     # --- moves of the observation -------------------------------------------------------------
 
@@ -467,7 +472,7 @@ class Player:
         for name in ("added_overflow", "crossing", "ending"):
             engine.agents[name] = 0
         before.agents[...] = engine.agents
-        alone = (engine.games["asked"] != 0) | engine.static.sequential
+        alone = self._alone
         known = engine.static, engine.dynamic
         for k in range(engine.nets.shape[1] if self.everyone else 1):
             movers, moves = np.empty(len(begins), np.int32), np.empty(len(begins), np.int16)

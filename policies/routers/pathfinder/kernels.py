@@ -48,7 +48,7 @@ def via_cost(problem: ProblemArrays, gcell: int) -> int:
 def wire_cost(problem: ProblemArrays, net: int, layer: int, edge: int) -> int:
     """The length of an edge inside a layer, and what the net pays if it prefers other layers."""
     if not problem.contest:
-        return i64(UNIT + problem.aversion[net, layer])
+        return i64(UNIT + problem.layer_cost[net, layer])
     gcell = edge // AXES
     axis = edge - AXES * gcell
     return i64(problem.wire[axis, problem.position[gcell, axis]])

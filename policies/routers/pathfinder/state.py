@@ -84,7 +84,9 @@ class ProblemArrays(NamedTuple):
     position: NDArray[np.int32]  # (G, 3) x, y, z of each Gcell
     capacity: NDArray[np.int32]  # (E,) in tracks; negative where there must be no wires
     demand: NDArray[np.int32]  # (N, Z) tracks that a net takes from an edge in a layer
-    aversion: NDArray[np.int32]  # (N, Z) what a net's wire costs more in a layer, in units of cost
+    layer_cost: NDArray[
+        np.int32
+    ]  # (N, Z) what a net's wire costs more in a layer, in units of cost
     first: NDArray[np.int64]  # (N + 1,) a net's pins are pin[first[net] : first[net + 1]]
     pin: NDArray[np.int64]  # (pins,) their Gcells
     height: NDArray[np.int64]  # (Z,) what the vias up to a layer from the lowest one cost
@@ -156,7 +158,7 @@ def _height(problem: Problem, options: PathfinderOptions) -> NDArray[np.int64]:
     return np.cumsum([0, *(round(weight * UNIT) for weight in weights)])
 
 
-def _aversion(problem: Problem, options: PathfinderOptions) -> NDArray[np.int32]:
+def _layer_costs(problem: Problem, options: PathfinderOptions) -> NDArray[np.int32]:
     """(N, Z) what a wire of a net costs more in a layer, because the net prefers others."""
     cost = np.zeros((len(problem.nets), problem.grid[VIA_AXIS]), np.int32)
     if options.prefer_layers is not None and options.prefer_from is not None:
@@ -195,7 +197,7 @@ def make_arrays(problem: Problem, options: PathfinderOptions) -> tuple[ProblemAr
         position=grid.position,
         capacity=_capacity(problem),
         demand=problem.net_demand,
-        aversion=_aversion(problem, options),
+        layer_cost=_layer_costs(problem, options),
         first=first,
         pin=pin,
         height=_height(problem, options),

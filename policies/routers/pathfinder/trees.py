@@ -228,7 +228,7 @@ def _prefers(problem: ProblemArrays, net: int) -> bool:
     """Whether a net prefers some layers."""
     most = 0
     for layer in range(problem.size[VIA_AXIS]):
-        most = max(most, problem.aversion[net, layer])
+        most = max(most, problem.layer_cost[net, layer])
     return most > 0
 
 
