@@ -835,6 +835,35 @@ def test_one_net_finds_the_way_of_least_overflow(
     assert figures(problem, routed) == divmod(least, 1000)
 
 
+@given(st.integers(0, 2**31 - 1), st.integers(1, 3), st.sampled_from([1, 20]), st.integers(0, 70))
+def test_a_way_around_walls_may_leave_the_box(
+    seed: int, layers: int, via: int, percent: int
+) -> None:
+    """Pins in the middle: what is called optimal is networkx's shortest path."""
+    rng, side = np.random.default_rng(seed), 14
+    ends = [(*(int(at) for at in pin), 0) for pin in rng.integers(4, 10, (2, 2))]
+    if ends[0] == ends[1]:
+        return
+    graph = networkx.grid_graph([layers, side, side])
+    walls = []
+    for one, other in graph.edges:
+        wall = one[2] == other[2] and bool(rng.integers(100) < percent)
+        graph.edges[one, other]["cost"] = 1000 * wall + (1 if one[2] == other[2] else via)
+        if wall:
+            walls.append(
+                Adjustment(one[0], one[1], one[2] + 1, other[0], other[1], other[2] + 1, 0)
+            )
+    net = Net("net", 0, tuple(Pin(x, y, 1) for x, y, _ in ends))
+    each = (1,) * layers
+    problem = Problem((side, side, layers), each, each, (net,), each, (0,) * layers, (0,) * layers)
+    problem = replace(problem, adjustments=tuple(walls))
+    routed = router(margin=1, via_weight=float(via)).solve(problem)
+    least = networkx.shortest_path_length(graph, *ends, weight="cost")
+    best = min((done.overflow, done.wirelength) for done in routed.history)
+    if least < 1000 or routed.stop == "optimal":
+        assert (routed.stop, best) == ("optimal", (0, least))
+
+
 def test_repairing_finds_shorter_ways_than_rounds_alone() -> None:
     """Two-pin nets that do not fit: rounds end some edges above the shortest wirelength."""
     before = after = 0

@@ -83,6 +83,7 @@ class ProblemArrays(NamedTuple):
     size: NDArray[np.int64]  # (3,) columns, rows, layers
     position: NDArray[np.int32]  # (G, 3) x, y, z of each Gcell
     capacity: NDArray[np.int32]  # (E,) in tracks; negative where there must be no wires
+    widest: NDArray[np.int32]  # (Z, 2) the largest capacity along each axis in each layer
     demand: NDArray[np.int32]  # (N, Z) tracks that a net takes from an edge in a layer
     layer_cost: NDArray[
         np.int32
@@ -192,10 +193,13 @@ def make_arrays(problem: Problem, options: PathfinderOptions) -> tuple[ProblemAr
     grid = problem.topology
     check_memory(NEGOTIATION * grid.gcells, "negotiated congestion on a grid of {}", grid)
     nets, routable = len(problem.nets), np.flatnonzero(np.diff(first) > 1)
+    capacity = _capacity(problem)
+    edges = np.where(grid.exists.reshape(-1), capacity, -1).reshape(-1, problem.grid[2], AXES)
     arrays = ProblemArrays(
         size=np.array(problem.grid, np.int64),
         position=grid.position,
-        capacity=_capacity(problem),
+        capacity=capacity,
+        widest=edges[:, :, :VIA_AXIS].max(axis=0),
         demand=problem.net_demand,
         layer_cost=_layer_costs(problem, options),
         first=first,

@@ -36,6 +36,7 @@ from policies.routers.pathfinder.state import (
     NEGOTIATED_LABELS,
     POOL_TOO_SMALL,
     RELAX,
+    UNIT,
     Memory,
     NetBuffers,
     ProblemArrays,
@@ -278,16 +279,58 @@ def plan(problem: ProblemArrays, routing: Routing, memory: Memory, net: int) -> 
                     point = point_of(problem.position, buffers.low, lattice.size, problem.pin[i])
                     buffers.pin[point] = 0
         if cost != CLOSED:
-            break
+            # What is cheapest is also shortest only where edges in use cost no more than others,
+            # and where no layer is dearer: a way around its closed edges may leave any box.
+            exact = exact and lattice.size[VIA_AXIS] == whole
+            exact = exact and problem.crowding == 0 and not prefers and not problem.contest
+            exact = exact and progress.kind == RELAX and routing.ideal[net] < 0
+            enough = margin_for(problem, memory, net, cost) if exact else i64(0)
+            if enough <= margin:
+                break
+            more = 2 * (enough - margin)
+            points = (lattice.size[0] + more) * (lattice.size[1] + more) * whole
+            if pins > 2 and points << (pins - 1) > labels:
+                exact = False
+                break
+            margin = enough
+            continue
         if lattice.size[0] == problem.size[0] and lattice.size[1] == problem.size[1]:
             limit = i64(FAR)
         margin, layers = 2 * margin + 1, whole
-    # What is cheapest is also shortest only where edges in use cost no more than others.
-    exact = exact and lattice.size[VIA_AXIS] == problem.size[VIA_AXIS]
-    exact = exact and problem.crowding == 0
-    # Beyond the box, a way around full edges of a layer that the net prefers may cost less.
-    exact = exact and not prefers
     return list_tree(problem, lattice, buffers), exact
+
+
+@compiled
+def margin_for(problem: ProblemArrays, memory: Memory, net: int, cost: int) -> int:
+    """How wide a net's box must be for no tree that leaves it to cost less than ``cost``.
+
+    Moved onto the box, a tree's parts beyond it get shorter, by ``2 * (margin + 1)`` edges at
+    least. So no tree needs to leave a box whose edges are all open, and none that leaves another
+    one costs less than half the perimeter of the pins, the vias between them, and these edges.
+    """
+    lattice = memory.lattice
+    nx, ny, nz = lattice.size[0], lattice.size[1], lattice.size[2]
+    if nx == problem.size[0] and ny == problem.size[1]:
+        return i64(0)
+    least = i64(0)
+    for axis in range(AXES):
+        first, last = problem.size[axis], i64(0)
+        for i in range(problem.first[net], problem.first[net + 1]):
+            at = i64(problem.position[problem.pin[i], axis])
+            first, last = min(first, at), max(last, at)
+        if axis == VIA_AXIS:
+            least += problem.height[last] - problem.height[first]
+        else:
+            least += UNIT * (last - first)
+    for z in range(nz):
+        for axis in range(VIA_AXIS):
+            if problem.widest[z, axis] < problem.demand[net, z]:
+                continue  # no tree has wires along this axis in this layer
+            for x in range(nx - (axis == 0)):
+                for y in range(ny - (axis == 1)):
+                    if lattice.cost[(x * ny + y) * nz + z, 2 * axis] == CLOSED:
+                        return max(-((least - cost) // (2 * UNIT)) - 1, i64(0))
+    return i64(0)
 
 
 @compiled
