@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 
 from marouting.checks import check_fields
 from marouting.columns import Games, check_rows
+from marouting.config import check
 from marouting.errors import InputError
 from marouting.game import NOBODY, Game
 from marouting.problem.grid import AXES, MOVES, OFF_GRID, VIA_AXIS, Grid, Rows
@@ -244,10 +245,15 @@ def move_order_of(
         raise InputError(
             f"{found}: expected the moves 0 to 5, each once, for {len(obs)} agents, found {order}"
         )
+    return all_actions(order.astype(np.int64), actions, messages)
+
+
+def all_actions(order: NDArray[np.int64], actions: int, messages: int) -> NDArray[np.int64]:
+    """(…, A) int64, an order of the six moves (…, 6) carried on to all actions and messages."""
     moves = actions // messages
-    rest = np.broadcast_to(np.arange(MOVES, moves), (len(obs), moves - MOVES))
-    one = np.concatenate((order.astype(np.int64), rest), axis=1)
-    return np.concatenate([one + moves * message for message in range(messages)], axis=1)
+    rest = np.broadcast_to(np.arange(MOVES, moves), (*order.shape[:-1], moves - MOVES))
+    one = np.concatenate((order, rest), axis=-1)
+    return np.concatenate([one + moves * message for message in range(messages)], axis=-1)
 
 
 _MOVES = np.arange(MOVES)
@@ -255,6 +261,39 @@ _MOVES = np.arange(MOVES)
 
 def _bits(moves: NDArray[np.integer]) -> NDArray[np.int64]:
     return np.asarray(np.left_shift(1, moves.astype(np.int64)).sum(axis=-1))
+
+
+def space_of(observation: Observation, problems: Sequence[Problem], overflow: bool) -> Box:
+    """The space of what one agent sees; raises InputError if it is not a Box of float32."""
+    space = observation.space(problems, overflow)
+    fits = isinstance(space, Box) and space.dtype == np.float32
+    named = f"{type(observation).__name__}.space"
+    check("observation", fits, f"a Box of float32 from {named}, found {space!r}")
+    return space
+
+
+def seen_by(
+    observation: Observation, shape: tuple[int, ...]
+) -> Callable[[Game, int], NDArray[np.float32]]:
+    """The ``see`` of an observation, which gives new float32 arrays of this shape or InputError."""
+    own: Any = observation
+    if type(observation) is PaperObservation:  # checks take as long as it does
+        return PaperObservation.see.__get__(observation)
+    name = f"{type(observation).__name__}.see"
+
+    def see(game: Game, n: int) -> NDArray[np.float32]:
+        seen = own.see(game, n)
+        try:
+            row = np.array(seen, np.float32)
+        except (TypeError, ValueError):
+            row = np.empty(0, np.float32)
+        if row.shape != shape or seen is None:
+            raise InputError(
+                f"observation: expected numbers of shape {shape} from {name}, found {seen!r}"
+            )
+        return row
+
+    return see
 
 
 def state_space_of(observation: Observation, problems: Sequence[Problem], overflow: bool) -> Box:

@@ -33,7 +33,7 @@ sum. The batch and trainings pay all of these in compiled code. Mixtures::
 import functools
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from enum import IntEnum
 from typing import Any, NamedTuple, Protocol
@@ -43,13 +43,13 @@ from numpy.typing import NDArray
 
 from marouting.checks import check_fields
 from marouting.columns import Before, Games
-from marouting.config import check, piece
+from marouting.config import check, of_key, piece
 from marouting.errors import InputError
 from marouting.game import NOBODY, Crossing, Ending, Game
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.registry import register
 
-_MOST = 1e30
+_MOST, _MOST_WEIGHT = 1e30, 1e6
 """The largest reward: rewards are float32, and are added up."""
 
 
@@ -203,6 +203,9 @@ class CostReward(PricedReward):
     open: float = 100.0
     wirelength: float = 1.0
 
+    def __post_init__(self) -> None:
+        check_fields(self, CostReward, **{f.name: (-_MOST, _MOST) for f in fields(CostReward)})
+
     @property
     def _cost(self) -> tuple[float, float, float]:
         return self.overflow, self.open, self.wirelength
@@ -284,7 +287,7 @@ class PotentialReward(PricedReward):
     scale: float = 1.0
 
     def __post_init__(self) -> None:
-        check_fields(self, gamma=(0, 1))
+        check_fields(self, gamma=(0, 1), scale=(-_MOST, _MOST))
 
     @property
     def prices(self) -> Prices:
@@ -314,10 +317,13 @@ class MixedReward:
         """The parts, each with its weight."""
         made: list[tuple[float, Reward]] = []
         for number, part in enumerate(self.parts):
+            fits = isinstance(part, Mapping)
+            check(f"parts.{number}", fits, f"a mapping with the key kind, found {part!r}")
             options = dict(part)
-            weight = options.pop("weight", 1.0)
-            fits = isinstance(weight, int | float) and math.isfinite(weight)
-            check(f"parts.{number}.weight", fits, f"a finite number, found {weight!r}")
+            key = f"parts.{number}.weight"
+            weight = of_key(key, options.pop("weight", 1.0), float)
+            fits = abs(weight) <= _MOST_WEIGHT
+            check(key, fits, f"{-_MOST_WEIGHT:g} to {_MOST_WEIGHT:g}, found {weight!r}")
             reward = piece("reward", options, where=f"parts.{number}").make()
             what = f"a reward that has __call__, not pay alone, found {type(reward).__name__}"
             check(f"parts.{number}", callable(reward), what)
@@ -451,6 +457,26 @@ def paid_by(
         raise InputError(f"reward: expected finite numbers, found {found} from {name}")
     return np.where((games.nets != NOBODY) & (movers != NOBODY)[:, None], paid, np.float32(0))
 
+
+def payer_of(reward: Any) -> Callable[[Game, int], float]:
+    """The ``pay`` of a reward, which gives finite numbers that float32 can hold or InputError."""
+    pay: Callable[[Game, int], float] = reward.pay
+    if type(reward) in _BUILT_IN.values():
+        return pay
+    name = f"{type(reward).__name__}.pay"
+
+    def checked(game: Game, n: int) -> float:
+        paid = pay(game, n)
+        fits = isinstance(paid, int | float | np.integer | np.floating)
+        number = float(paid) if fits else math.nan
+        if not abs(number) <= _LARGEST:
+            raise InputError(f"reward: expected a finite number from {name}, found {paid!r}")
+        return float(np.float32(number))
+
+    return checked
+
+
+_LARGEST = float(np.finfo(np.float32).max)
 
 _BUILT_IN: dict[str, type[Any]] = {
     "paper": PaperReward,

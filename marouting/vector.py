@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from marouting.batch.engine import Engine
 from marouting.config import build, check
 from marouting.errors import InputError
-from marouting.observations import Observation, state_of, state_space_of
+from marouting.observations import Observation, space_of, state_of, state_space_of
 from marouting.options import GameOptions, game_options
 from marouting.player import Player, Saved, StepBuffers
 from marouting.problem.net import is_whole
@@ -146,9 +146,9 @@ class BatchEnv(EzPickle):
             raise InputError(f"threads: expected a whole number from 1, found {threads!r}")
         checked_seed(seed)
         checked = batch_options(options, everyone, autoreset, play_once)
-        self._persists = checked.agents_persist
         what = "false with everyone=False, because only one agent has a row"
-        check("agents_persist", everyone or not self._persists, what)
+        check("agents_persist", everyone or not checked.agents_persist, what)
+        self._persists = checked.persists and everyone
         once = not play_once or not is_whole(problems)
         check("play_once", once, "false: these games draw their problems")
         episodes = drawn_from(problems, problem, checked)
@@ -163,7 +163,7 @@ class BatchEnv(EzPickle):
         self.autoreset, self._everyone = autoreset and not play_once, everyone
         observation, reward = checked.observation.make(), checked.reward.make()
         overflow = engine.static.overflow_allowed
-        self.single_observation_space = observation.space(bounds, overflow)
+        self.single_observation_space = space_of(observation, bounds, overflow)
         self.single_state_space = state_space_of(observation, bounds, overflow)
         self.single_action_space = Discrete(engine.actions)
         self.num_problems, self.num_agents = engine.nets.shape

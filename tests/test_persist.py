@@ -10,6 +10,7 @@ import pytest
 from pettingzoo.test import api_test, parallel_api_test
 
 from marouting import (
+    Field,
     InputError,
     Net,
     Pin,
@@ -136,6 +137,31 @@ def test_where_there_is_nobody_to_stay() -> None:
         BatchEnv([PROBLEM], agents_persist=True, everyone=False)
 
 
+def test_agents_that_wait_for_the_next_round_have_one_action_everywhere() -> None:
+    options: dict[str, Any] = {"rip_up": {"rounds": 1}, "max_steps": 4}
+    problem = Field(3, 3).net((0, 0), (2, 2)).net((0, 1), (1, 1)).problem()
+    env, batch = global_routing_v0.parallel_env(problem, **options), BatchEnv([problem], **options)
+    env.reset()
+    batch.reset()
+    *_, infos = env.step({"net_0": 0, "net_1": 0})
+    info = batch.step(np.zeros((1, 2), int))[-1]
+    assert info["active"].tolist() == [[True, False]]
+    for mask, told in zip(info["action_mask"][0], infos.values(), strict=True):
+        np.testing.assert_array_equal(mask, told["action_mask"])
+    assert infos["net_1"]["action_mask"].tolist() == [1, 0, 0, 0, 0, 0]
+
+
+def test_a_state_belongs_to_agents_that_stay_or_leave() -> None:
+    stays, leaves = (
+        global_routing_v0.parallel_env(PROBLEM, agents_persist=p) for p in (True, False)
+    )
+    for env in (stays, leaves):
+        env.reset()
+    for one, other in ((stays, leaves), (leaves, stays)):
+        with pytest.raises(ValueError, match="expected the state of a game with this problem"):
+            one.restore(other.save())
+
+
 def test_rows_of_agents_that_stay_end_together() -> None:
     rng = np.random.default_rng(2)
     options: dict[str, Any] = {"max_steps": 9, "reward": "team", "play_once": True}
@@ -258,13 +284,21 @@ def test_every_episode_plays_a_problem_of_the_set(make: Callable[..., Any]) -> N
     assert problems_of(env, 60, 8) != played
 
 
+@pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
+def test_without_a_seed_every_environment_plays_its_own_problems(make: Callable[..., Any]) -> None:
+    envs = [make({"nets": 2, "grid": [4, 4, 1], "seed": None}) for _ in range(2)]
+    for env in envs:
+        env.reset()
+    assert envs[0].unwrapped.problem_name != envs[1].unwrapped.problem_name
+
+
 def test_spaces_hold_for_all_problems_of_the_set() -> None:
     env = global_routing_v0.parallel_env(SET)
     assert env.possible_agents == [f"net_{n}" for n in range(6)]
     rng = np.random.default_rng(0)
     names = set()
-    for _ in range(12):
-        seen, infos = env.reset()
+    for episode in range(12):
+        seen, infos = env.reset(seed=None if episode else 0)
         assert all(set(info) == {"action_mask"} for info in infos.values())
         names.add(env.problem_name)
         while env.agents:

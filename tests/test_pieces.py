@@ -5,12 +5,14 @@ in the batch, and everything that agents see and get is compared. Pieces by name
 ``module:Class`` and objects.
 """
 
+import math
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.spaces import Box
+from gymnasium.spaces import Box, Discrete
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -362,6 +364,46 @@ def test_the_simple_forms_of_pieces() -> None:
     for name in pieces:
         with pytest.raises(InputError, match=rf"{name}: expected .* for the batch"):
             BatchEnv([problem], **{name: pieces[name]})
+
+
+def seen_as(space: Any, see: Callable[[], Any]) -> Any:
+    """An observation in its simple form, with any space and any answer."""
+    return type("Odd", (), {"space": lambda *_: space, "see": lambda *_: see()})()
+
+
+PAIR = Box(0, 1, (2,), np.float32)
+
+
+@pytest.mark.parametrize("make", [global_routing_v0.env, global_routing_v0.parallel_env])
+def test_what_an_observation_shows_is_float32_of_its_shape(make: Callable[..., Any]) -> None:
+    for row in ((0, 0.5), [0, 0.5], np.array([0, 0.5])):
+        env = make(observation=seen_as(PAIR, lambda row=row: row))
+        env.reset()
+        seen = env.observe("net_0") if hasattr(env, "observe") else env.reset()[0]["net_0"]
+        assert (seen.dtype, seen.tolist()) == (np.float32, [0, 0.5])
+    for row in (None, 3, [1, 2, 3], "x", [[1, 2]]):
+        env = make(observation=seen_as(PAIR, lambda row=row: row))
+        with pytest.raises(InputError, match=r"expected numbers of shape \(2,\) from Odd.see, fou"):
+            env.reset() if make is global_routing_v0.parallel_env else (env.reset(), env.last())
+
+
+@pytest.mark.parametrize("space", [Box(0, 255, (2,), np.uint8), Discrete(3), None, (0, 1)])
+def test_spaces_are_boxes_of_float32(space: Any) -> None:
+    own = seen_as(space, lambda: None)
+    own.write = lambda *_: None
+    for make in (global_routing_v0.env, GlobalRoutingSingle):
+        with pytest.raises(InputError, match=r"^observation: expected a Box of float32 from Odd.s"):
+            make(observation=own)
+
+
+@pytest.mark.parametrize("make", [global_routing_v0.env, global_routing_v0.parallel_env])
+@pytest.mark.parametrize("paid", [None, math.nan, math.inf, 1e39, "x", np.zeros(2)])
+def test_a_reward_pays_finite_numbers(make: Callable[..., Any], paid: Any) -> None:
+    env = make(reward=type("Odd", (), {"pay": lambda *_: paid})())
+    env.reset()
+    action = 0 if make is global_routing_v0.env else dict.fromkeys(env.agents, 0)
+    with pytest.raises(InputError, match=r"^reward: expected a finite number from Odd.pay, found"):
+        env.step(action)
 
 
 class Changed(PaperObservation):

@@ -866,13 +866,15 @@ def test_the_options_of_a_scenario_play_any_problem() -> None:
             call()
 
 
-def test_training_problems_are_no_larger_than_the_fixed_ones() -> None:
-    def sized(rng: np.random.Generator) -> Problem:
-        field = Field(5, 5, capacity=int(rng.integers(1, 1000)))
-        for _ in range(rng.integers(1, 30)):
-            field.net((0, 0), *rng.integers(1, 5, size=(rng.integers(1, 4), 2)).tolist())
-        return field.problem()
+def sized(rng: np.random.Generator) -> Problem:
+    """Of any number of nets and any capacity."""
+    field = Field(5, 5, capacity=int(rng.integers(1, 1000)))
+    for _ in range(rng.integers(1, 30)):
+        field.net((0, 0), *rng.integers(1, 5, size=(rng.integers(1, 4), 2)).tolist())
+    return field.problem()
 
+
+def test_training_problems_are_no_larger_than_the_fixed_ones() -> None:
     scenario = Scenario("sized-v0", sized, validation=2, test=2)
     fixed = [*scenario.validation, *scenario.test]
     for problem in itertools.islice(scenario.train(0), 20):
@@ -884,9 +886,19 @@ def test_training_problems_are_no_larger_than_the_fixed_ones() -> None:
     assert max(free) > max(len(p.nets) for p in fixed)
 
 
+def test_draws_with_nothing_to_route_are_thrown_away() -> None:
+    def seldom(rng: np.random.Generator) -> Problem:
+        return Field(3, 3).net(*rng.integers(0, 3, size=(2, 2)).tolist()).problem()
+
+    assert any(seldom(np.random.default_rng(i)).half_perimeters[0] == 0 for i in range(50))
+    scenario = Scenario("seldom-v0", seldom, validation=5, test=5, mirrors=False)
+    drawn = [*scenario.test, *scenario.validation, *itertools.islice(scenario.train(0), 20)]
+    assert all(problem.half_perimeters[0] > 0 for problem in drawn)
+
+
 @pytest.mark.usefixtures("own")
 def test_what_own_scenarios_are_refused() -> None:
-    for name in ("toy-4x4-v0", "", 3):
+    for name in ("toy-4x4-v0", "", 3, "a:b"):
         with pytest.raises(InputError, match=r"^name: expected a(nother one: | text that)"):
             scenarios.register(name, corridor)  # type: ignore[arg-type]
     again = scenarios.register("corridor-v0", corridor, test=2)
@@ -895,12 +907,18 @@ def test_what_own_scenarios_are_refused() -> None:
     def growing(rng: np.random.Generator) -> Problem:
         return Field(int(rng.integers(3, 99)), 4).net((0, 0), (1, 1)).problem()
 
-    with pytest.raises(InputError, match=r"^none-v0: .* 0 of 1000 draws .* and 1000 are refuse"):
+    with pytest.raises(InputError, match=r"^none-v0: .* 0 of 1000 draws .* and 1000 have nothing"):
         _ = Scenario("none-v0", corridor, accept=lambda _: False).test
     with pytest.raises(InputError, match=r"^three-v0: generator: expected a Problem, found 3"):
         _ = Scenario("three-v0", lambda _: 3).test  # type: ignore[arg-type, return-value]
     with pytest.raises(InputError, match=r"^large-v0: largest: expected a Problem, found None"):
         _ = Scenario("large-v0", corridor, largest=lambda: None).grid  # type: ignore[arg-type,return-value]
+    small = Scenario("small-v0", sized, largest=lambda: Field(5, 5).net((0, 0), (1, 1)).problem())
+    for use in (lambda: small.test, lambda: next(small.train(0))):
+        with pytest.raises(
+            InputError, match=r"^small-v0: largest: expected a grid, nets, pins and"
+        ):
+            use()
     for call in (scenarios.get, lambda found: global_routing_v0.parallel_env(scenario=found)):
         with pytest.raises(InputError, match=r"^scenario: expected a name, found the object Scen"):
             call(again)

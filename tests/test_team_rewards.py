@@ -338,7 +338,11 @@ class OnlyPays:
         ({"kind": "potential", "gamma": 2}, "gamma: expected 0 to 1"),
         ({"kind": "mixed", "parts": []}, "parts: expected at least one reward"),
         ({"kind": "mixed", "parts": [{"kind": "tame"}]}, "parts.0: unknown reward 'tame'; did you"),
-        ({"kind": "mixed", "parts": [{"weight": "much"}]}, "parts.0.weight: expected a finite"),
+        ({"kind": "mixed", "parts": [{"weight": "much"}]}, "parts.0.weight: expected a number"),
+        ({"kind": "mixed", "parts": [{"weight": 1e300}]}, r"parts.0.weight: expected -1e\+06 to"),
+        ({"kind": "mixed", "parts": ["paper"]}, "parts.0: expected a mapping with the key kind"),
+        ({"kind": "team", "open": 1e39}, r"open: expected -1e\+30 to"),
+        ({"kind": "potential", "scale": -1e31}, r"scale: expected -1e\+30 to"),
         (
             {"kind": "mixed", "parts": [{"kind": "paper"}, {"kind": f"{__name__}:OnlyPays"}]},
             "reward.parts.1: expected a reward that has __call__, not pay alone, found OnlyPays",

@@ -12,6 +12,7 @@ import pytest
 
 import marouting
 from marouting import InputError, Net, Pin, Problem, global_routing_v0
+from marouting.batch.window import mirrored, move_order
 from marouting.game import Ending
 from marouting.observations import move_order_of
 from marouting.rules import Rules
@@ -122,6 +123,8 @@ def test_learners_choose_messages_among_mirrored_moves() -> None:
     obs = np.zeros((1, window.size), np.float32)
     obs[0, :2] = -1, 1
     order = move_order_of(window, obs, 14, 2)
+    assert order.tolist() == move_order(obs, 14, 2).tolist()
+    assert mirrored(np.arange(14), obs.repeat(14, axis=0), 14, 2).tolist() == order[0].tolist()
     assert order.tolist() == [[1, 0, 2, 3, 4, 5, 6, 8, 7, 9, 10, 11, 12, 13]]
 
 

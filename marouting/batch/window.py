@@ -87,6 +87,7 @@ from marouting.columns import Games, as_int32, check_shapes
 from marouting.config import check
 from marouting.game import NOBODY, Status
 from marouting.kernels import as_index, compiled, i64, specialised
+from marouting.observations import all_actions
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
 from marouting.problem.problem import Problem
 from marouting.rules import MOST_BITS
@@ -301,34 +302,46 @@ def _bound_to(engine: Engine, arguments: tuple[Any, ...]) -> Callable[..., bool]
     return found
 
 
-def move_order(obs: NDArray[np.float32]) -> NDArray[np.int64]:
-    """The moves of the grid in the order of a window's moves.
+def move_order(
+    obs: NDArray[np.float32], actions: int = MOVES, messages: int = 1
+) -> NDArray[np.int64]:
+    """The actions on the grid in the order of a window's actions.
 
     Args:
         obs: (…, size) float32, observations of the kind ``window``.
+        actions: A, the number of actions; those beyond the six moves stay what they are.
+        messages: how many messages there are to choose from, ``2**message_bits``.
 
     Returns:
-        (…, 6) int64: the move on the grid that each of the window's six moves is. It is its own
+        (…, A) int64: the action on the grid that each of the window's actions is. It is its own
         inverse, so ``numpy.take_along_axis(values, move_order(obs), -1)`` turns masks and values
         (…, 6) of the grid into those of the window, and back.
     """
     swapped = (obs[..., :2] < 0).repeat(2, axis=-1)  # +x with −x, and +y with −y
     vias = np.zeros((*obs.shape[:-1], MOVES - 2 * VIA_AXIS), np.bool_)
-    return np.arange(MOVES) ^ np.concatenate((swapped, vias), axis=-1)
+    order = np.arange(MOVES) ^ np.concatenate((swapped, vias), axis=-1)
+    return all_actions(order, actions, messages)
 
 
-def mirrored(moves: NDArray[np.integer], obs: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Turns moves of the window into moves of the grid, or moves of the grid into the window's.
+def mirrored(
+    moves: NDArray[np.integer],
+    obs: NDArray[np.float32],
+    actions: int = MOVES,
+    messages: int = 1,
+) -> NDArray[np.int64]:
+    """Turns actions of the window into those of the grid, or those of the grid into the window's.
 
     Args:
-        moves: (…,) 0 to 5, or −1 for no move, which stays −1.
+        moves: (…,) 0 to A − 1, or −1 for none, which stays −1.
         obs: (…, size) float32, what the agents saw, of the kind ``window``.
+        actions: as in :func:`move_order`.
+        messages: as in :func:`move_order`.
 
     Returns:
         (…,) int64.
     """
     moves = np.asarray(moves)
-    turned = np.take_along_axis(move_order(obs), moves[..., None], -1)[..., 0]
+    turned = np.take_along_axis(move_order(obs, actions, messages), moves[..., None], -1)[..., 0]
     return np.where(moves == NOBODY, NOBODY, turned)
 
 

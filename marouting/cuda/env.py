@@ -37,7 +37,7 @@ from marouting.cuda.games import (
 )
 from marouting.game import NOBODY
 from marouting.kernels import mixed
-from marouting.observations import Observation, PaperObservation, state_space_of
+from marouting.observations import Observation, PaperObservation, space_of, state_space_of
 from marouting.player import FastPath, StepBuffers
 from marouting.problem.grid import AXES, VIA_AXIS, Grid
 from marouting.problem.net import is_whole
@@ -152,7 +152,7 @@ class CudaBatchEnv(BatchEnv):
         self.num_envs, self.num_agents = self.num_problems, self._nets.shape[1]
         overflow = static.overflow_allowed
         self._observation = observation
-        self.single_observation_space = observation.space(bounds, overflow)
+        self.single_observation_space = space_of(observation, bounds, overflow)
         self.single_state_space = state_space_of(observation, bounds, overflow)
         self.single_action_space = Discrete(checked.actions)
         for name, what in unsupported(observation, reward):
@@ -188,7 +188,7 @@ class CudaBatchEnv(BatchEnv):
         }
         self._static: Any = Static._make(map(device.of, static._replace(**own)))
         self._dynamic: Any = dynamic_state(self._static, grid, self.num_agents, games, make)
-        shape = cast(tuple[int, ...], self.single_observation_space.shape)
+        shape = self.single_observation_space.shape
         self._buffers: Any = StepBuffers.of(
             games, rows, shape, int(self.single_action_space.n), self._zeros
         )

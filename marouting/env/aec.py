@@ -92,7 +92,7 @@ class GlobalRoutingAEC(NetEnv, AECEnv):
         move = checked_move(action, self._actions)
         if self._pays_mover:
             game.move(n, move)
-            paid = self._reward.pay(game, n)
+            paid = self._pay_mover(game, n)
         else:
             paid = self._move(n, move)
         if game.ending[n]:

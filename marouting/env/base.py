@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from marouting.columns import Columns
 from marouting.game import ACTIVE, NOBODY, Game, mask_table
 from marouting.memory import PLAYED, STATE, TABLES, check_memory
-from marouting.observations import has_form, state_of, state_space_of
+from marouting.observations import has_form, seen_by, space_of, state_of, state_space_of
 from marouting.options import Agents, game_options
 from marouting.problem.grid import Grid
 from marouting.problem.solution import Solution
 from marouting.render import Window, ansi, rgb_array, scene_of
-from marouting.rewards import paid_by
+from marouting.rewards import paid_by, payer_of
 from marouting.source import OTHER_GAME, ProblemStream, Source
 
 ONE_PLAYER = "false: one player moves all nets, so no agent can stay behind"
@@ -36,8 +36,9 @@ METADATA: dict[str, Any] = {
 class GameEnv(EzPickle):
     """A game of one problem with its pieces: what every environment has beyond its interface.
 
-    A copy by :mod:`copy` or :mod:`pickle` goes on where the environment stands. Pieces of your own
-    that keep a state are only copied with it if they were given as objects.
+    A copy by :mod:`copy` or :mod:`pickle` goes on where the environment stands; only its spaces
+    draw samples of their own. Pieces of your own that keep a state are only copied with it if they
+    were given as objects.
 
     Attributes:
         game_class: the rules; a subclass of the environment may name its own
@@ -59,17 +60,19 @@ class GameEnv(EzPickle):
         self._sees_plainly = has_form(self._observation, "see", "write")
         self._reward: Any = checked.reward.make()
         self._pays_mover = has_form(self._reward, "pay", "__call__")
+        if self._pays_mover:
+            self._pay_mover = payer_of(self._reward)
         self.render_mode = checked.render_mode
         self._masked = checked.mask.in_observation
         self._mask_key, self._observation_key = checked.mask.mask_key, checked.mask.observation_key
-        self._persists = checked.persists
+        self._persists = checked.persists and agents == "multi"
         self._actions = checked.actions
         self._no_op = np.eye(1, self._actions, dtype=np.int8)[0]  # of agents that are done and stay
         self._table = mask_table(checked.moves, checked.messages)
         self._masks = list(self._table)  # a list's rows are found faster
         self._begun = False
         self._window = Window()
-        self._rng, _ = seeding.np_random(0)  # draws the problems of episodes
+        self._rng, _ = seeding.np_random()  # draws the problems of episodes
 
         self._episodes = ProblemStream(problem, checked.scenario, checked.split)
         problems = self._episodes.bounds
@@ -81,7 +84,9 @@ class GameEnv(EzPickle):
         name, first = next(iter(self._episodes.problems.items()))
         self._play(name, self.game_class(first, self._rules))
         overflow = self.game.overflow_allowed
-        self._box: Box = self._observation.space(problems, overflow)
+        self._box: Box = space_of(self._observation, problems, overflow)
+        if self._sees_plainly:
+            self._see_one = seen_by(self._observation, self._box.shape)
         self.state_space: Box = state_space_of(self._observation, problems, overflow)
 
     def _play(self, name: str, game: Game) -> None:
@@ -115,7 +120,8 @@ class GameEnv(EzPickle):
         names = ("problem_name", "_figures", "_rng", "_begun", *self._episode)
         rest = {name: vars(self)[name] for name in names if name in vars(self)}
         kind = type(self).__name__
-        return {"interface": kind, "game": self.game.copy(), **copy.deepcopy(rest)}
+        fixed = {"interface": kind, "persists": self._persists}
+        return {**fixed, "game": self.game.copy(), **copy.deepcopy(rest)}
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Puts the environment back into a saved state.
@@ -129,7 +135,8 @@ class GameEnv(EzPickle):
         """
         rest, problem = dict(saved) if isinstance(saved, Mapping) else {}, self.game.problem
         game: Any = rest.pop("game", None)
-        same = rest.pop("interface", None) == type(self).__name__
+        fixed = rest.pop("interface", None), rest.pop("persists", None)
+        same = fixed == (type(self).__name__, self._persists)
         if not (same and type(game) is self.game_class and game.rules == self._rules):
             raise ValueError(OTHER_GAME)
         known = self._episodes.problems.values()
@@ -166,8 +173,7 @@ class GameEnv(EzPickle):
         if agent == NOBODY:
             return np.zeros(self._box.shape, np.float32)
         if self._sees_plainly:
-            seen: NDArray[np.float32] = self._observation.see(self.game, agent)
-            return seen
+            return self._see_one(self.game, agent)
         return self._see_all([agent])[0]
 
     def _see_all(self, agents: Sequence[int]) -> NDArray[np.float32]:
@@ -182,7 +188,7 @@ class GameEnv(EzPickle):
     def _shown(self, agent: int) -> Any:
         """A new observation of one agent, in the form that the options ask for."""
         plainly = self._sees_plainly and agent != NOBODY  # as in _see, without another call
-        seen = self._observation.see(self.game, agent) if plainly else self._see(agent)
+        seen = self._see_one(self.game, agent) if plainly else self._see(agent)
         return self._with_mask(seen, self._mask(agent)) if self._masked else seen
 
     def _with_mask(self, observation: NDArray[np.float32], mask: NDArray[np.int8]) -> Any:
@@ -215,7 +221,7 @@ class GameEnv(EzPickle):
         """An agent moves: what that pays it if ``_pays_mover``, or else (N,) float32 for all."""
         if self._pays_mover:
             self.game.move(n, action)
-            return self._reward.pay(self.game, n)
+            return self._pay_mover(self.game, n)
         before = self._columns.before(self._figures)
         self.game.move(n, action)
         self._figures = self._columns.figures()

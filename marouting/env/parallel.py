@@ -128,7 +128,7 @@ class GlobalRoutingParallel(NetEnv, ParallelEnv):
         game = self.game
         movers = game.movers()
         if self._pays_mover:
-            move, pay, rewards = game.move, self._reward.pay, {}
+            move, pay, rewards = game.move, self._pay_mover, {}
             for n in movers:
                 move(n, moves[n])
                 rewards[n] = pay(game, n)

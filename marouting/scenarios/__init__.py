@@ -93,7 +93,8 @@ def register(name: str, generator: Generator, **options: Any) -> Scenario:
     Raises:
         InputError: a scenario of the package has this name, or an argument cannot be used.
     """
-    check("name", isinstance(name, str) and name, f"a text that is not empty, found {name!r}")
+    fits = isinstance(name, str) and name and ":" not in name
+    check("name", fits, f"a text that is not empty and has no colon, found {name!r}")
     check("name", name not in _shipped, f"another one: the package has a scenario {name}")
     _known[name] = Scenario(name, generator, **options)
     return _known[name]

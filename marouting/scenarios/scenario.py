@@ -280,6 +280,15 @@ class Scenario:
             return False
         return self._accept is None or self._accept(problem)
 
+    def _within_largest(self, problem: Problem) -> Problem:
+        """The problem; raises InputError if ``largest`` was given and the problem is larger."""
+        if self._largest is not None:
+            fits = problem.grid == self.grid and (_size(problem) <= self._most).all()
+            largest, found = ((of.grid, *_size(of).tolist()) for of in (self.bounds[0], problem))
+            what = f"a grid, nets, pins and tracks as in all draws, found {largest} and {found}"
+            check(f"{self.name}: largest", fits, what)
+        return problem
+
     def _draw(
         self, key: str, excluded: Collection[str], fits: Callable[[Problem], bool] | None
     ) -> Problem:
@@ -293,14 +302,19 @@ class Scenario:
                 raise InputError(f"{self.name}: generator: expected a Problem, found {problem!r}")
             if self._digest(problem) in excluded:
                 known += 1
-            elif fits is None or fits(problem):
-                return problem
+            elif _has_tasks(problem) and (fits is None or fits(problem)):
+                return self._within_largest(problem)
         raise InputError(
             f"{self.name}: the generator draws too few different problems that fit: {known} of "
             f"{ATTEMPTS} draws equal a validation or test problem or its mirror image, and "
-            f"{ATTEMPTS - known} are refused by accept or larger than all of those; lower "
-            "validation and test, or draw more varied problems"
+            f"{ATTEMPTS - known} have nothing to route, are refused by accept or are larger than "
+            "all of those; lower validation and test, or draw more varied problems"
         )
+
+
+def _has_tasks(problem: Problem) -> bool:
+    """Whether a net has pins in several Gcells."""
+    return bool((np.diff(problem.flat_pin_gcells[0]) > 1).any())
 
 
 def _size(problem: Problem) -> NDArray[np.integer]:
