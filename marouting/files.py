@@ -195,7 +195,13 @@ def check_writable(path: str | os.PathLike[str]) -> None:
 
 def check_apart(out: str | os.PathLike[str], *read: str | os.PathLike[str]) -> None:
     """Raises InputError if a file to be written is one of those that are read."""
-    if any(exists(path) and exists(out) and Path(path).samefile(out) for path in read):
+
+    def same(path: str | os.PathLike[str]) -> bool:
+        # A path by a folder that does not exist yet leads nowhere until the folder is made.
+        named = os.path.realpath(path) == os.path.realpath(out)
+        return exists(path) and (named or (exists(out) and Path(path).samefile(out)))
+
+    if any(map(same, read)):
         raise InputError(f"{os.fspath(out)}: expected another file: this one is read")
 
 

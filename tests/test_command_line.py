@@ -209,6 +209,18 @@ def test_a_signal_ends_a_route_with_the_best_so_far(
             "route p.gr --router dqn --checkpoint k --out k",
             "k: expected another file: this one is read",
         ),
+        (
+            "route p.gr --out new/../p.gr",
+            "new/../p.gr: expected another file: this one is read",
+        ),
+        (
+            "view p.gr s --out v.png --frames 5",
+            "--frames: expected an animation, --out FILE.svg or FILE.gif",
+        ),
+        (
+            "view p.gr s --out v.html --turn-order sequential",
+            "--turn-order: expected an animation, --out FILE.svg or FILE.gif",
+        ),
         ("view p.gr s --out s", "s: expected another file: this one is read"),
         ("view p.gr s --out p.gr", "p.gr: expected another file: this one is read"),
         ("route p.gr --out s.segs", "s.segs: expected another suffix: .segs is not written"),

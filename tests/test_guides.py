@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from marouting import InputError, ProblemFile, Solution, evaluate, sequential_astar
+from marouting import Area, InputError, ProblemFile, Solution, evaluate, sequential_astar
 from marouting.problem.guides import CROWDED, GuideCheck, check_guide, read_record
 from policies.cli.main import status
+from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
 
 CHIP = Path(__file__).resolve().parents[1] / "docs" / "examples" / "problems" / "chip.def"
 ISPD18 = Path(__file__).resolve().parents[2] / "shared" / "data" / "ispd18"
@@ -66,6 +67,18 @@ def test_our_guides_meet_the_contests_rules(
     assert pins <= {cell[:3] for cell in cells} <= beside
     judged = Solution.read(tmp_path / "a.guide", PROBLEM).at_reached_pins()
     assert evaluate(judged.problem, judged).connected
+
+
+def test_wires_without_tracks_lie_along_their_layer(tmp_path: Path) -> None:
+    """Where routes overflow a closed row, a guide reads back as the same routes."""
+    closed = Area(columns=(0, 9), rows=(4, 4), factor=0)
+    problem = ProblemFile(path=str(CHIP), areas=(closed,)).read()
+    routed = PathfinderRouter(PathfinderOptions(seconds=None, passes=4)).route(problem)
+    assert evaluate(problem, routed).overflow > 50
+    routed.pruned().write(tmp_path / "a.guide")
+    assert evaluate(problem, Solution.read(tmp_path / "a.guide", problem)) == evaluate(
+        problem, routed.pruned()
+    )
 
 
 def test_patches_lie_around_pins_and_at_crowded_edges(tmp_path: Path) -> None:

@@ -27,9 +27,10 @@ def edges_in_boxes(problem: Problem, boxes: Boxes) -> tuple[NDArray[np.int64], N
 
     A guide is only a region. Two Gcells of it that lie above each other are connected, and
     two neighbours of one box if the edge between them has capacity. Guides also count on neighbours
-    in different boxes, and on short wires where there are no tracks, such as those across their
-    layer's direction: where parts of a net touch in no other way, the former, and then the latter,
-    join them, no more than are needed.
+    in different boxes, and on short wires where there are no tracks. Where parts of a net touch in
+    no other way, these join them, no more than are needed: first neighbours in different boxes,
+    then wires without tracks along their layer's direction, in one box and then between boxes, and
+    at last wires across it.
 
     Raises:
         FieldError: a box is empty or lies off the chip; ``row`` tells which. Of a box that reaches
@@ -64,14 +65,16 @@ def edges_in_boxes(problem: Problem, boxes: Boxes) -> tuple[NDArray[np.int64], N
         cost = np.zeros(len(at), np.int64)
         if axis != VIA_AXIS:
             in_box = is_among(covered[at], distinct(keys[inside[axis]]))
-            usable = problem.capacity_of(AXES * (covered[at] % size) + axis) > 0
-            cost = np.where(usable, 1 - in_box, 2)
+            gcell = covered[at] % size
+            usable = problem.capacity_of(AXES * gcell + axis) > 0
+            along = chip.wires[gcell % problem.grid[2], axis]
+            cost = np.where(usable, 1 - in_box, np.where(along, 3 - in_box, 4))
         costs.append(cost)
     near, far = np.concatenate(ends, axis=1)
     needed = np.concatenate(costs)
     kept = needed == 0
     part = joined_parts(near[kept], far[kept], len(covered))
-    for level in (1, 2):
+    for level in range(1, 5):
         apart = np.flatnonzero((needed == level) & (part[near] != part[far]))
         mark_joins(near, far, apart, part, kept)
     uses = np.sort(AXES * covered[near[kept]] + np.concatenate(axes)[kept])

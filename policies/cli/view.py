@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from marouting.render import Scene
 
 PAGE, MOVING = ".html", (".svg", ".gif")
+FRAMES = 240
+"""The most frames of an animation, unless told otherwise."""
 
 
 @click.command()
@@ -45,9 +47,7 @@ PAGE, MOVING = ".html", (".svg", ".gif")
 @click.option(
     "--frames",
     type=int,
-    default=240,
-    show_default=True,
-    help="The most frames of an animation.",
+    help=f"The most frames of an animation.  [default: {FRAMES}]",
 )
 @allow_code_option
 @json_option
@@ -57,7 +57,7 @@ def view(
     out: Path,
     checkpoint: Path | None,
     turn_order: TurnOrder | None,
-    frames: int,
+    frames: int | None,
     as_json: bool,
 ) -> None:
     """Show solutions of PROBLEM: a page with routes in 3-D, an animation, or a picture.
@@ -74,8 +74,11 @@ def view(
     kind = suffix_of(out)
     if solutions and checkpoint:
         raise InputError("view: expected only one of SOLUTION and --checkpoint")
-    if checkpoint is not None and kind not in MOVING:
-        raise InputError("--checkpoint: expected an animation, --out FILE.svg or FILE.gif")
+    moving = {"--checkpoint": checkpoint, "--turn-order": turn_order, "--frames": frames}
+    for option, value in moving.items():
+        if value is not None and kind not in MOVING:
+            raise InputError(f"{option}: expected an animation, --out FILE.svg or FILE.gif")
+    frames = FRAMES if frames is None else frames
     if checkpoint is not None and turn_order is not None:
         raise InputError("--turn-order: expected none with --checkpoint: the policy has its own")
     check_apart(out, *problem.files, *solutions, *([checkpoint] if checkpoint else []))
