@@ -1,8 +1,8 @@
 """Pictures of a running game: text for a terminal, RGB frames for videos, or a window.
 
-All three draw the same :class:`Scene`, a moment of a game. A picture consists of :func:`shapes` on
-a :class:`Sheet`, and an animation of the same. Nothing here needs more than numpy, except that
-:class:`Window` loads matplotlib when it is first shown.
+All three draw the same :class:`Scene`, a moment of a game; pictures on the :class:`Sheet` of its
+problem. Nothing here needs more than numpy, except that :class:`Window` loads matplotlib when it is
+first shown.
 """
 
 import base64
@@ -16,9 +16,8 @@ import sys
 import textwrap
 import warnings
 import zlib
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -179,6 +178,9 @@ _MARK = 3  # the least reach of heads and targets, px
 Ink = tuple[int, ...]
 """A colour: red, green and blue, 0 to 255."""
 
+Pixels = NDArray[np.uint8]
+"""(H, W, 3), a picture."""
+
 _BACKGROUND = (255, 255, 255)
 _GCELL = (208, 211, 217)
 _FREE = (232, 234, 239)
@@ -236,44 +238,6 @@ _ADVANCE, _HEIGHT, _LINE = 8, 16, 18  # px of a letter of scale 1, and of a line
 _CAPTION = 80  # letters of a caption that there is room for
 
 
-class Box(NamedTuple):
-    """A filled rectangle of a picture, in px; right and bottom are just outside of it."""
-
-    left: int
-    top: int
-    right: int
-    bottom: int
-    ink: Ink
-
-
-class Bars(NamedTuple):
-    """Many boxes: (n, 4) int, as in Box, and (n, 3) or (1, 3) uint8, their colours."""
-
-    sides: NDArray[np.integer]
-    inks: NDArray[np.uint8]
-
-
-class Disc(NamedTuple):
-    """A filled disc."""
-
-    x: int
-    y: int
-    radius: int
-    ink: Ink
-
-
-class Words(NamedTuple):
-    """A line of text, in letters that are ``8 · scale`` px wide and ``16 · scale`` px high."""
-
-    x: int
-    y: int
-    text: str
-    scale: int
-
-
-Shape = Box | Bars | Disc | Words
-
-
 def colour_of(net: int) -> Ink:
     """A net's colour, one of :data:`PALETTE`."""
     return _COLOURS[net % len(_COLOURS)]
@@ -301,8 +265,7 @@ def rgb_array(scene: Scene) -> NDArray[np.uint8]:
     """
     sheet = Sheet.of(scene)
     canvas = sheet.canvas.copy()
-    for level in shapes(scene):
-        _paint(canvas, level)
+    sheet.draw(canvas, scene)
     shrink = sheet.shrink
     if shrink == 1:
         return canvas
@@ -310,26 +273,24 @@ def rgb_array(scene: Scene) -> NDArray[np.uint8]:
     return np.asarray(blocks.mean(axis=(1, 3)), np.uint8)
 
 
-def _paint(canvas: NDArray[np.uint8], drawn: Iterable[Shape]) -> None:
-    """Draws shapes into pixels; what does not fit is left out."""
-    for shape in drawn:
-        if isinstance(shape, Bars):
-            inks = np.broadcast_to(shape.inks, (len(shape.sides), 3))
-            for (left, top, right, bottom), ink in zip(shape.sides.tolist(), inks, strict=True):
-                canvas[top:bottom, left:right] = ink
-        elif isinstance(shape, Box):
-            canvas[shape.top : shape.bottom, shape.left : shape.right] = shape.ink
-        elif isinstance(shape, Disc):
-            x, y, r, colour = shape
-            canvas[y - r : y + r, x - r : x + r][_disc(r)] = colour
-        else:
-            letters = _lettering(shape.text, shape.scale)
-            space = canvas[shape.y :, shape.x :][: letters.shape[0], : letters.shape[1]]
-            np.minimum(space, letters[: space.shape[0], : space.shape[1]], out=space)
+def _box(canvas: Pixels, x: int, y: int, reach: int, ink: Ink) -> None:
+    """Draws a filled square around a point."""
+    canvas[y - reach : y + reach, x - reach : x + reach] = ink
+
+
+def _disc(canvas: Pixels, x: int, y: int, radius: int, ink: Ink) -> None:
+    canvas[y - radius : y + radius, x - radius : x + radius][_round(radius)] = ink
+
+
+def _words(canvas: Pixels, x: int, y: int, text: str, scale: int) -> None:
+    """Draws a line of text in letters 8 · scale px wide and 16 · scale px high, as far as fits."""
+    letters = _lettering(text, scale)
+    space = canvas[y:, x:][: letters.shape[0], : letters.shape[1]]
+    np.minimum(space, letters[: space.shape[0], : space.shape[1]], out=space)
 
 
 @functools.lru_cache(maxsize=64)
-def _disc(radius: int) -> NDArray[np.bool_]:
+def _round(radius: int) -> NDArray[np.bool_]:
     distance = 2 * np.indices((2 * radius, 2 * radius)) - (2 * radius - 1)
     return np.hypot(*distance) < 2 * radius
 
@@ -350,65 +311,6 @@ def _letters() -> NDArray[np.uint8]:
     levels = bits.reshape(-1, 2) @ [2, 1]
     levels = levels[: _HEIGHT * 95 * _ADVANCE].reshape(_HEIGHT, 95, _ADVANCE)
     return np.array([255, 177, 98, _INK[0]], np.uint8)[levels]
-
-
-def shapes(scene: Scene) -> list[list[Shape]]:
-    """What a scene adds to its :class:`Sheet`, level by level: later levels cover earlier ones."""
-    sheet, state = Sheet.of(scene), edge_states(scene)
-    half, rim = sheet.mark, max(1, sheet.pitch // 12)
-    targets, heads, turn = scene.targets.tolist(), scene.heads.tolist(), scene.turn
-    inks = [colour_of(net) for net in scene.active.tolist()]
-    nets = sorted(range(len(inks)), key=lambda n: n == turn)  # the net to move is in the foreground
-    marked = [] if turn is None else [targets[turn], heads[turn]]
-    vias = np.unique(_via_gcells(scene)).tolist()
-    words = textwrap.wrap(scene.caption, sheet.letters)[: sheet.lines]
-    signs: list[Shape] = [
-        *(sheet.disc(gcell, 0.3 * half, _INK) for gcell in (vias if sheet.roomy else ())),
-        *(sheet.around(gcell, half + 2 * rim, _HALO) for gcell in marked),
-        *(sheet.around(gcell, half, _GCELL) for gcell in marked),
-        *(sheet.around(targets[n], half, inks[n]) for n in nets),
-        *(sheet.around(targets[n], half - rim, _GCELL) for n in nets),
-        *(sheet.disc(heads[n], half, _INK) for n in nets),
-        *(sheet.disc(heads[n], half - rim / 2, inks[n]) for n in nets),
-        *(sheet.words(row, line) for row, line in enumerate(words)),
-    ]
-    edges = _nets(scene, sheet, state) if sheet.roomy else _bars(scene, sheet, state)
-    return [*edges, signs]
-
-
-def _nets(scene: Scene, sheet: "Sheet", state: NDArray[np.int8]) -> list[list[Shape]]:
-    """Every use of an edge as a line; full and overflowed edges have borders."""
-    border = max(1, sheet.pitch // 16)
-    full, over = (np.flatnonzero(state == s) for s in (EdgeState.FULL, EdgeState.OVERFLOWED))
-    room = sheet.start + sheet.track * np.minimum(scene.capacity[full], sheet.tracks)
-    most = sheet.start + sheet.track * np.full(len(over), sheet.tracks)
-    slot = np.arange(len(scene.edges)) - np.searchsorted(scene.edges, scene.edges)
-    drawn = (slot < sheet.tracks) & (scene.edges % AXES != VIA_AXIS)
-    low = sheet.start + slot[drawn] * sheet.track
-    inks = PALETTE[scene.nets[drawn] % len(PALETTE)]
-    return [
-        [
-            sheet.bars(full, sheet.start - border, room + border, [_INK]),
-            sheet.bars(over, sheet.start - 2 * border, most + 2 * border, [_OVERFLOWED]),
-        ],
-        [
-            sheet.bars(full, sheet.start, room, [_FREE]),
-            sheet.bars(over, sheet.start, most, [_FREE]),
-        ],
-        [sheet.bars(scene.edges[drawn], low, low + sheet.track, inks, whole=True)],
-    ]
-
-
-def _bars(scene: Scene, sheet: "Sheet", state: NDArray[np.int8]) -> list[list[Shape]]:
-    """Every edge in use as a field of the colour that says how full it is, the fullest on top."""
-    used = np.flatnonzero(state >= EdgeState.USED)
-    capacity = np.maximum(scene.capacity[used], 1)
-    share = (scene.capacity[used] - scene.remaining[used]) / capacity
-    order = np.argsort(share, kind="stable")
-    share = np.where(scene.capacity[used] > 0, share, USE[-1][0])[order]
-    stops = [stop for stop, _ in USE]
-    parts = [np.interp(share, stops, [ink[part] for _, ink in USE]) for part in range(3)]
-    return [[sheet.bars(used[order], 0, sheet.pitch, np.stack(parts, axis=1), whole=True)]]
 
 
 class Sheet:
@@ -463,21 +365,19 @@ class Sheet:
         self._y = top + row * panel + (height - 1 - y) * pitch + pitch // 2
         free = np.flatnonzero(inside & (capacity > 0))
         end = self.start + self.track * (capacity[free] if self.roomy else 1)
-        self.shapes: list[Shape] = [self.bars(free, self.start, end, [_FREE], whole=not self.roomy)]
-        if self.roomy:
-            half = self.square // 2
-            self.shapes += [self.around(gcell, half, _GCELL) for gcell in range(grid.gcells)]
+        bottom = top - line + rows * panel
+        # The legend has a line for each of its signs, at most.
+        canvas = np.full((bottom + 8 * line, across, 3), _BACKGROUND, np.uint8)
+        self._bars(canvas, free, self.start, end, _FREE, whole=not self.roomy)
+        for gcell in range(grid.gcells if self.roomy else 0):
+            _box(canvas, *self._at(gcell), self.square // 2, _GCELL)
         fits = 8 * _ADVANCE * self.scale <= width * pitch + margin
         for layer in range(layers):
-            corner = self.around(grid.number(0, height - 1, layer), pitch // 2, _INK)
+            x0, y0 = self._at(grid.number(0, height - 1, layer))
             name = f"{'layer ' if fits else 'l'}{layer + 1}"
-            self.shapes.append(Words(corner.left, corner.top - line, name, self.scale))
-        bottom = top - line + rows * panel
-        self.shapes += self._legend(layers > 1, bottom, across - margin)
-        last = max(shape.y for shape in self.shapes if isinstance(shape, Words))
-        bottom = _up_to(last + line + margin // 2, 2 * self.shrink)
-        self.canvas = np.full((bottom, across, 3), _BACKGROUND, np.uint8)
-        _paint(self.canvas, self.shapes)
+            _words(canvas, x0 - pitch // 2, y0 - pitch // 2 - line, name, self.scale)
+        last = self._legend(canvas, layers > 1, bottom, across - margin)
+        self.canvas = canvas[: _up_to(last + line + margin // 2, 2 * self.shrink)]
         self.canvas.setflags(write=False)
 
     @staticmethod
@@ -485,15 +385,66 @@ class Sheet:
         """The sheet of a scene, which all scenes of its problem share."""
         return _sheet(scene.grid, scene.capacity.tobytes())
 
-    def bars(
-        self,
-        edges: NDArray[np.integer],
-        low: Any,
-        high: Any,
-        inks: Any,
+    def draw(self, canvas: Pixels, scene: Scene) -> None:
+        """Draws what a scene adds to its sheet."""
+        state = edge_states(scene)
+        (self._nets if self.roomy else self._uses)(canvas, scene, state)
+        half, rim = self.mark, max(1, self.pitch // 12)
+        at = [self._at(gcell) for gcell in scene.targets.tolist()]
+        heads = [self._at(gcell) for gcell in scene.heads.tolist()]
+        inks, turn = [colour_of(net) for net in scene.active.tolist()], scene.turn
+        # The net to move is in the foreground.
+        nets = sorted(range(len(inks)), key=lambda n: n == turn)
+        if self.roomy:
+            for gcell in np.unique(_via_gcells(scene)).tolist():
+                _disc(canvas, *self._at(gcell), max(1, round(0.3 * half)), _INK)
+        if turn is not None:
+            for reach, ink in ((half + 2 * rim, _HALO), (half, _GCELL)):
+                _box(canvas, *at[turn], reach, ink)
+                _box(canvas, *heads[turn], reach, ink)
+        for n in nets:
+            _box(canvas, *at[n], half, inks[n])
+        for n in nets:
+            _box(canvas, *at[n], half - rim, _GCELL)
+        for n in nets:
+            _disc(canvas, *heads[n], max(1, half), _INK)
+        for n in nets:
+            _disc(canvas, *heads[n], max(1, round(half - rim / 2)), inks[n])
+        for row, text in enumerate(textwrap.wrap(scene.caption, self.letters)[: self.lines]):
+            _words(canvas, self.margin, (2 + row * _LINE) * self.scale, text, self.scale)
+
+    def _nets(self, canvas: Pixels, scene: Scene, state: NDArray[np.int8]) -> None:
+        """Every use of an edge as a line; full and overflowed edges have borders."""
+        border = max(1, self.pitch // 16)
+        full, over = (np.flatnonzero(state == s) for s in (EdgeState.FULL, EdgeState.OVERFLOWED))
+        room = self.start + self.track * np.minimum(scene.capacity[full], self.tracks)
+        most = self.start + self.track * self.tracks
+        self._bars(canvas, full, self.start - border, room + border, _INK)
+        self._bars(canvas, over, self.start - 2 * border, most + 2 * border, _OVERFLOWED)
+        self._bars(canvas, full, self.start, room, _FREE)
+        self._bars(canvas, over, self.start, most, _FREE)
+        slot = np.arange(len(scene.edges)) - np.searchsorted(scene.edges, scene.edges)
+        drawn = (slot < self.tracks) & (scene.edges % AXES != VIA_AXIS)
+        low = self.start + slot[drawn] * self.track
+        inks = PALETTE[scene.nets[drawn] % len(PALETTE)]
+        self._bars(canvas, scene.edges[drawn], low, low + self.track, inks, whole=True)
+
+    def _uses(self, canvas: Pixels, scene: Scene, state: NDArray[np.int8]) -> None:
+        """Every edge in use as a field that shows how full it is, the fullest on top."""
+        used = np.flatnonzero(state >= EdgeState.USED)
+        capacity = np.maximum(scene.capacity[used], 1)
+        share = (scene.capacity[used] - scene.remaining[used]) / capacity
+        order = np.argsort(share, kind="stable")
+        share = np.where(scene.capacity[used] > 0, share, USE[-1][0])[order]
+        stops, colours = zip(*USE, strict=True)
+        inks = np.stack([np.interp(share, stops, part) for part in np.array(colours).T], axis=1)
+        self._bars(canvas, used[order], 0, self.pitch, inks, whole=True)
+
+    def _bars(
+        self, canvas: Pixels, edges: NDArray[np.integer], low: Any, high: Any, inks: Any,
         whole: bool = False,
-    ) -> Bars:
-        """Bars on edges inside layers, from ``low`` to ``high`` beyond the border of two rows.
+    ) -> None:  # fmt: skip
+        """Draws bars on edges inside layers, ``low`` to ``high`` beyond the border of two rows.
 
         ``whole`` ones run from the middle of a Gcell to that of the next, others between Gcells.
         """
@@ -503,67 +454,55 @@ class Sheet:
         x, y = self._x[near], self._y[near]
         along_x = np.stack((x + half, y + low, self._x[far] - half, y + high), axis=1)
         along_y = np.stack((x + low, self._y[far] + half, x + high, y - half), axis=1)
-        sides = np.where((edges % AXES == 0)[:, None], along_x, along_y)
-        return Bars(sides, np.asarray(inks).astype(np.uint8))
+        sides = np.where((edges % AXES == 0)[:, None], along_x, along_y).tolist()
+        inks = np.broadcast_to(np.asarray(inks).astype(np.uint8), (len(sides), 3))
+        for (left, top, right, bottom), ink in zip(sides, inks, strict=True):
+            canvas[top:bottom, left:right] = ink
 
-    def around(self, gcell: int, reach: int, ink: Ink) -> Box:
-        """A square around the middle of a Gcell."""
-        x, y = int(self._x[gcell]), int(self._y[gcell])
-        return Box(x - reach, y - reach, x + reach, y + reach, ink)
+    def _at(self, gcell: int) -> tuple[int, int]:
+        """The middle of a Gcell."""
+        return int(self._x[gcell]), int(self._y[gcell])
 
-    def disc(self, gcell: int, radius: float, ink: Ink) -> Disc:
-        """A disc in the middle of a Gcell."""
-        return Disc(int(self._x[gcell]), int(self._y[gcell]), max(1, round(radius)), ink)
-
-    def words(self, row: int, text: str) -> Words:
-        """A line of the caption."""
-        return Words(self.margin, (2 + row * _LINE) * self.scale, text, self.scale)
-
-    def _legend(self, vias: bool, top: int, right: int) -> Iterator[Shape]:
-        """What the marks and colours mean."""
+    def _legend(self, canvas: Pixels, vias: bool, top: int, right: int) -> int:
+        """Draws what the marks and colours mean; returns where the last line of it begins."""
         unit = 2 * self.scale
         side, net = 8 * unit, [colour_of(n) for n in range(3)]
-        lines = [Box(0, (1 + 2 * n) * unit, side, (3 + 2 * n) * unit, net[n]) for n in range(3)]
+        lines = [(0, (1 + 2 * n) * unit, side, (3 + 2 * n) * unit, net[n]) for n in range(3)]
 
-        def box(inset: int, ink: Ink) -> Box:
-            return Box(inset, inset, side - inset, side - inset, ink)
+        def box(inset: int, ink: Ink) -> tuple[Any, ...]:
+            return inset, inset, side - inset, side - inset, ink
 
-        def disc(radius: int, ink: Ink) -> Disc:
-            return Disc(side // 2, side // 2, radius * unit, ink)
-
-        signs: dict[str, list[Box | Disc]] = {
-            "head": [disc(4, _INK), disc(3, net[0])],
+        # Discs by radius and boxes by their sides, each with its colour.
+        signs: dict[str, list[tuple[Any, ...]]] = {
+            "head": [(4 * unit, _INK), (3 * unit, net[0])],
             "target": [box(0, net[0]), box(unit, _BACKGROUND)],
             "to move": [box(0, _HALO)],
         }
         if vias and self.roomy:
-            signs["via"] = [box(0, _GCELL), disc(2, _INK)]
+            signs["via"] = [box(0, _GCELL), (2 * unit, _INK)]
         if self.roomy:
-            signs["nets, by colour"] = [*lines]
+            signs["nets, by colour"] = lines
             signs["full"] = [box(0, _INK), *lines]
             signs["overflowed"] = [box(0, _OVERFLOWED), *lines]
         else:
             ramp = [ink for _, ink in USE]
             for words, part in (("free to full", ramp[:3]), ("overflowed", ramp[3:])):
                 wide = side // len(part)
-                signs[words] = [
-                    Box(n * wide, 0, (n + 1) * wide, side, ink) for n, ink in enumerate(part)
-                ]
+                signs[words] = [(n * wide, 0, (n + 1) * wide, side, i) for n, i in enumerate(part)]
         left = self.margin
         for words, sign in signs.items():
             width = side + self.scale * _ADVANCE * len(words) + 3 * unit
             if left > self.margin and left + width > right:
                 top, left = top + _LINE * self.scale, self.margin
-            for shape in sign:
-                if isinstance(shape, Box):
-                    yield Box(
-                        shape.left + left, shape.top + top,
-                        shape.right + left, shape.bottom + top, shape.ink,
-                    )  # fmt: skip
+            at = canvas[top:, left:]
+            for *sides, ink in sign:
+                if len(sides) == 1:
+                    _disc(at, side // 2, side // 2, sides[0], ink)
                 else:
-                    yield shape._replace(x=shape.x + left, y=shape.y + top)
-            yield Words(left + side + 3 * unit, top, words, self.scale)
+                    at[sides[1] : sides[3], sides[0] : sides[2]] = ink
+            _words(canvas, left + side + 3 * unit, top, words, self.scale)
             left += width + 7 * unit
+        return top
 
 
 @functools.lru_cache(maxsize=8)

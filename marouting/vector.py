@@ -108,12 +108,12 @@ class BatchEnv(EzPickle):
 
     _draws_of: ClassVar[type[ProblemSampler]] = ProblemSampler
 
-    def __new__(cls, *_: Any, device: str = "cpu", **__: Any) -> "BatchEnv":
+    def __new__(cls, *problems: Any, **options: Any) -> "BatchEnv":
         """Makes a :class:`marouting.cuda.env.CudaBatchEnv` for another device."""
-        if cls is BatchEnv and device != "cpu":
-            kind = pkgutil.resolve_name(_ON_CUDA)
-            return cast(BatchEnv, super().__new__(kind))
-        return super().__new__(cls)
+        other = cls is BatchEnv and options.get("device", "cpu") != "cpu"
+        made: BatchEnv = super().__new__(pkgutil.resolve_name(_ON_CUDA) if other else cls)
+        EzPickle.__init__(made, *problems, **options)  # for copies
+        return made
 
     def __init__(
         self,
@@ -128,18 +128,6 @@ class BatchEnv(EzPickle):
         device: str = "cpu",
         **options: Any,
     ) -> None:
-        EzPickle.__init__(
-            self,
-            problems,
-            problem=problem,
-            everyone=everyone,
-            autoreset=autoreset,
-            play_once=play_once,
-            threads=threads,
-            seed=seed,
-            device=device,
-            **options,
-        )
         kind = type(self).__name__
         check("device", device == "cpu", f"cpu for the class {kind}, found {device!r}")
         if not (is_whole(threads) and threads >= 1):
@@ -148,7 +136,7 @@ class BatchEnv(EzPickle):
         checked = batch_options(options, everyone, autoreset, play_once)
         what = "false with everyone=False, because only one agent has a row"
         check("agents_persist", everyone or not checked.agents_persist, what)
-        self._persists = checked.persists and everyone
+        self._persists = checked.agents_persist
         once = not play_once or not is_whole(problems)
         check("play_once", once, "false: these games draw their problems")
         episodes = drawn_from(problems, problem, checked)

@@ -10,7 +10,6 @@ import pytest
 from pettingzoo.test import api_test, parallel_api_test
 
 from marouting import (
-    Field,
     InputError,
     Net,
     Pin,
@@ -135,20 +134,6 @@ def test_where_there_is_nobody_to_stay() -> None:
         GlobalRoutingSingle(PROBLEM, agents_persist=True)
     with pytest.raises(InputError, match="agents_persist: expected false with everyone=False"):
         BatchEnv([PROBLEM], agents_persist=True, everyone=False)
-
-
-def test_agents_that_wait_for_the_next_round_have_one_action_everywhere() -> None:
-    options: dict[str, Any] = {"rip_up": {"rounds": 1}, "max_steps": 4}
-    problem = Field(3, 3).net((0, 0), (2, 2)).net((0, 1), (1, 1)).problem()
-    env, batch = global_routing_v0.parallel_env(problem, **options), BatchEnv([problem], **options)
-    env.reset()
-    batch.reset()
-    *_, infos = env.step({"net_0": 0, "net_1": 0})
-    info = batch.step(np.zeros((1, 2), int))[-1]
-    assert info["active"].tolist() == [[True, False]]
-    for mask, told in zip(info["action_mask"][0], infos.values(), strict=True):
-        np.testing.assert_array_equal(mask, told["action_mask"])
-    assert infos["net_1"]["action_mask"].tolist() == [1, 0, 0, 0, 0, 0]
 
 
 def test_a_state_belongs_to_agents_that_stay_or_leave() -> None:

@@ -208,11 +208,6 @@ class Engine:
         return self.rules.actions
 
     @property
-    def most_tasks(self) -> int:
-        """The most two-pin tasks of a problem that is played or may take the place of one."""
-        return self.room.tasks if self.room else int(self.tasks.sum(axis=1).max())
-
-    @property
     def tasks(self) -> NDArray[np.int32]:
         """(M, N) int32, the number of two-pin tasks of every agent."""
         return np.diff(self.static.first, axis=1)

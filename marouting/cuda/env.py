@@ -110,10 +110,6 @@ class CudaBatchEnv(BatchEnv):
         pool: int | None = None,
         **options: Any,
     ) -> None:
-        EzPickle.__init__(
-            self, problems, problem=problem, everyone=everyone, autoreset=autoreset,
-            threads=threads, seed=seed, play_once=play_once, device=device, pool=pool, **options,
-        )  # fmt: skip
         check("device", device == "cuda", f"cpu or cuda, found {device!r}")
         check("threads", threads == 1, "1: they are the processor's")
         _check_seed(seed)

@@ -23,7 +23,6 @@ import os
 import re
 from array import array
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,19 +38,6 @@ _PLACE = r"\([0-9]{1,9},[0-9]{1,9},[0-9]{1,9}\)"
 _SLACK = r"[+-]?([0-9.]+(e[+-]?[0-9]+)?|inf|nan)"
 _pin = re.compile(rf"([^(]+,{_SLACK},)?(?P<places>\[{_PLACE}(,{_PLACE})*\])").fullmatch
 _places = re.compile(r"\(([0-9]+),([0-9]+),([0-9]+)\)").findall
-
-
-class _Resources(NamedTuple):
-    """What a ``.cap`` file holds."""
-
-    names: tuple[str, ...]
-    wire_cost: float
-    via_cost: float
-    overflow_cost: NDArray[np.float64]
-    x_length: NDArray[np.float64]
-    y_length: NDArray[np.float64]
-    capacity: NDArray[np.float64]  # (X, Y, Z)
-    axis: NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -73,9 +59,9 @@ def read_contest(resources: str | os.PathLike[str], nets: str | os.PathLike[str]
     Coordinates of the problem are columns and rows. Capacities are cut to whole tracks. A pin is
     put where it can be reached nearest to the middle (the median) of all such places of its net.
     """
-    found = _read_resources(resources)
+    layer_names, contest = _read_resources(resources)
     listed = _read_nets(nets)
-    columns, rows, layers = found.capacity.shape
+    columns, rows, layers = contest.capacity.shape
     inside = (listed.access < np.array([layers, columns, rows])).all(axis=1)
     if not inside.all():
         place = int(inside.argmin())
@@ -90,18 +76,18 @@ def read_contest(resources: str | os.PathLike[str], nets: str | os.PathLike[str]
     pins = [Pin(x, y, layer + 1) for layer, x, y in chosen]
     bounds = listed.first_pin.tolist()
     wires = np.arange(layers) > 0
-    whole = np.floor(np.minimum(found.capacity, MAX_NUMBER)).astype(np.int64)
-    capacities = as_adjustments(whole, found.axis, wires)
+    whole = np.floor(np.minimum(contest.capacity, MAX_NUMBER)).astype(np.int64)
+    capacities = as_adjustments(whole, contest.axis, wires)
     z, x, y = listed.access.T
     places = Places(listed.first_pin, listed.first_access, (x * rows + y) * layers + z)
-    allowed = np.stack((wires & (found.axis == 0), wires & (found.axis == 1)), axis=1)
+    allowed = np.stack((wires & (contest.axis == 0), wires & (contest.axis == 1)), axis=1)
     chip = Chip(
-        found.names,
+        layer_names,
         np.arange(columns + 1),
         np.arange(rows + 1),
         allowed,
         places,
-        Contest(*found[1:]),
+        contest,
     )
     fields = {
         "grid": (columns, rows, layers),
@@ -136,7 +122,8 @@ def _nearest(listed: _Nets) -> NDArray[np.int64]:
     return nearest
 
 
-def _read_resources(path: str | os.PathLike[str]) -> _Resources:
+def _read_resources(path: str | os.PathLike[str]) -> tuple[tuple[str, ...], Contest]:
+    """The names of the layers, and what else a ``.cap`` file holds."""
     with reading(path) as lines:
         numbers = _Numbers(lines)
         layers, columns, rows = numbers.whole("numbers of layers, columns and rows", 3)
@@ -176,16 +163,9 @@ def _read_resources(path: str | os.PathLike[str]) -> _Resources:
         if tokens := lines.next():
             raise unexpected(f"the end of the file after {layers} layers", tokens)
     table = np.array(capacity).reshape(layers, rows, columns).transpose(2, 1, 0)
-    return _Resources(
-        tuple(names),
-        float(wire_cost),
-        float(via_cost),
-        overflow_cost,
-        x_length,
-        y_length,
-        np.ascontiguousarray(table),
-        np.array(axis),
-    )
+    costs = float(wire_cost), float(via_cost), overflow_cost
+    contest = Contest(*costs, x_length, y_length, np.ascontiguousarray(table), np.array(axis))
+    return tuple(names), contest
 
 
 class _Numbers:
