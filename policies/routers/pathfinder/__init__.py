@@ -32,12 +32,14 @@ the time limit, so that more time never gives a worse result. A search without o
 when it saves too little for its time (the option ``least_gain``).
 
 A net with few pins gets a cheapest tree (:func:`marouting.trees.exact_tree.exact_tree`) inside a
-box around its pins and its previous tree. A larger net grows pin by pin, from a random first pin,
-always joining the pin nearest to the tree. Then each path between two branching points or pins is
-replaced by a cheapest one. In negotiating passes only the smallest nets get cheapest trees: many
-good trees reach further in the same time than few best ones. Of larger nets, most keep their tree
-but for the paths that overflow. Searches are kept short by a lower bound of what a tree costs
-across each column and row of the box (:func:`~policies.routers.pathfinder.kernels.set_costs`).
+box around its pins and its previous tree, wider where a tree around closed edges may be shorter
+outside (:func:`~policies.routers.pathfinder.trees.margin_for`). A larger net grows pin by pin, from
+a random first pin, always joining the pin nearest to the tree. Then each path between two branching
+points or pins is replaced by a cheapest one. In negotiating passes only the smallest nets get
+cheapest trees: many good trees reach further in the same time than few best ones. Of larger nets,
+most keep their tree but for the paths that overflow. Searches are kept short by a lower bound of
+what a tree costs across each column and row of the box
+(:func:`~policies.routers.pathfinder.kernels.set_costs`).
 
 Where to look:
 

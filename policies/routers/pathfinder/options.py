@@ -43,7 +43,8 @@ class PathfinderOptions:
             small, and in negotiating passes, which are many, smaller still. The paper's problems
             have at most 5 pins per net. Each further pin triples the time.
         margin: Gcells by which a net's box extends beyond its pins and its previous tree on each
-            side. Where the box contains no route, it is doubled for that search.
+            side. Where the box contains no route, it is doubled for that search; where a tree
+            around closed edges may be shorter outside, a net's first box is as wide as that needs.
         present_factor: factor by which one net too many raises the cost of an edge when a round
             begins (p in PathFinder).
         present_growth: factor by which ``present_factor`` grows from one negotiating pass to the
