@@ -51,7 +51,13 @@ from marouting.game import (
 )
 from marouting.kernels import as_index, compiled, i64, inlined, specialised
 from marouting.memory import check_memory
-from marouting.observations import Observation, PaperObservation, has_move_order, move_order_of
+from marouting.observations import (
+    Observation,
+    PaperObservation,
+    has_move_order,
+    move_order_of,
+    space_of,
+)
 from marouting.options import FORMS
 from marouting.problem.grid import MOVES
 from marouting.rewards import Prices, Reward, Share, paid_by, prices_of
@@ -227,7 +233,7 @@ class Player:
         problems, agents = engine.nets.shape
         if buffers is None:
             bounds = draws.episodes.bounds if draws else engine.problems
-            shape = observation.space(bounds, engine.static.overflow_allowed).shape
+            shape = space_of(observation, bounds, engine.static.overflow_allowed).shape
             rows = agents if everyone else 1
             buffers = StepBuffers.of(problems, rows, shape, engine.actions)
         self.buffers = buffers

@@ -394,6 +394,8 @@ def test_spaces_are_boxes_of_float32(space: Any) -> None:
     for make in (global_routing_v0.env, GlobalRoutingSingle):
         with pytest.raises(InputError, match=r"^observation: expected a Box of float32 from Odd.s"):
             make(observation=own)
+    with pytest.raises(InputError, match=r"^observation: expected a Box of float32 from Odd.spac"):
+        Player(Engine([marouting.generate(1)[0]], GameOptions()), own, PaperReward())
 
 
 @pytest.mark.parametrize("make", [global_routing_v0.env, global_routing_v0.parallel_env])

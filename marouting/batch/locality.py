@@ -14,7 +14,7 @@ from marouting.batch.engine import Engine
 from marouting.batch.state import Option
 from marouting.errors import InputError
 from marouting.game import ACTIVE, NOBODY, Status
-from marouting.observations import Observation, local_radius_of
+from marouting.observations import Observation, local_radius_of, space_of
 from marouting.problem.grid import VIA_AXIS
 from marouting.problem.problem import Problem
 
@@ -49,7 +49,7 @@ def check_local(
         found = "None: agents may see everything" if radius is None else radius
         raise InputError(f"{name}.local_radius: expected {expected}, found {found}")
     rng = np.random.default_rng(seed)
-    shape = observation.space(engine.problems, engine.static.overflow_allowed).shape
+    shape = space_of(observation, engine.problems, engine.static.overflow_allowed).shape
     for m, n in rng.permutation(np.argwhere(engine.agents["status"] == ACTIVE))[:agents].tolist():
         rows = np.zeros((2, 1, *shape), np.float32)
         who, first = np.array([n], np.int32), np.zeros(1, np.int32)

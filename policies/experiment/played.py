@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from marouting import Engine, scenarios
 from marouting.config import allowing_code_of, build, check
 from marouting.evaluation import check_rules, play_split, rules_of
-from marouting.observations import local_radius_of
+from marouting.observations import local_radius_of, space_of
 from marouting.options import PLAYED, game_options
 from policies.results.rows import Count, Seconds
 from policies.results.run_folder import TrainingFigures
@@ -93,7 +93,7 @@ def play(
         check_rules(game, scenario)
         observation = game.observation.make()
         problems = list(scenarios.get(scenario).problems(split).values())
-        shape = observation.space(problems, game.overflow == "allowed").shape
+        shape = space_of(observation, problems, game.overflow == "allowed").shape
         known = tuple(getattr(policy, "obs_shape", shape))
         check("policy", known == shape, f"one for observations of shape {shape}, found {known}")
         radius = local_radius_of(observation)

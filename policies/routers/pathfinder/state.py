@@ -85,9 +85,7 @@ class ProblemArrays(NamedTuple):
     capacity: NDArray[np.int32]  # (E,) in tracks; negative where there must be no wires
     widest: NDArray[np.int32]  # (Z, 2) the largest capacity along each axis in each layer
     demand: NDArray[np.int32]  # (N, Z) tracks that a net takes from an edge in a layer
-    layer_cost: NDArray[
-        np.int32
-    ]  # (N, Z) what a net's wire costs more in a layer, in units of cost
+    layer_cost: NDArray[np.int32]  # (N, Z) what a net's wire costs more in a layer, in UNIT
     first: NDArray[np.int64]  # (N + 1,) a net's pins are pin[first[net] : first[net + 1]]
     pin: NDArray[np.int64]  # (pins,) their Gcells
     height: NDArray[np.int64]  # (Z,) what the vias up to a layer from the lowest one cost
