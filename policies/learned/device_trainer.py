@@ -92,7 +92,7 @@ class DeviceTrainer:
         rows = self.env.num_problems * self.env.num_agents
         observation = config.env.observation.make()
         steps = max(STEPS, round(options.rollout / rows))
-        with _allocating():
+        with _computing():
             self.ppo = DevicePPO(self.env, observation, options, steps=steps, seed=config.seed)
         self.episodes, self.steps, self._evaluated = np.zeros((3, 1), np.int64)
         self.spent = 0.0  # share of train.seconds that has passed, by the clock of a run
@@ -125,7 +125,7 @@ class DeviceTrainer:
             self.saved.flat[0] = self._weights()
         while self.running[0]:
             self.ppo.progress = self._share()
-            with _allocating():
+            with _computing():
                 told = self.ppo.iterate()
             self.steps += told.steps
             self.episodes += told.episodes
@@ -226,10 +226,18 @@ class DeviceTrainer:
 
 
 @contextlib.contextmanager
-def _allocating() -> Iterator[None]:
-    """Raises InputError where torch finds too little memory on the device."""
+def _computing() -> Iterator[None]:
+    """Multiplies matrices in TensorFloat-32, at several times the speed.
+
+    Raises:
+        InputError: torch finds too little memory on the device.
+    """
+    precision = torch.get_float32_matmul_precision()
+    torch.set_float32_matmul_precision("high")
     try:
         yield
     except torch.OutOfMemoryError as error:
         reason = str(error).splitlines()[0]
         raise InputError(f"device: expected more memory for these games: {reason}") from None
+    finally:
+        torch.set_float32_matmul_precision(precision)

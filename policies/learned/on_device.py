@@ -2,8 +2,8 @@
 
 The algorithm is that of :mod:`policies.learned.algorithms.ppo`, with the same options, losses and
 networks. What differs is how a rollout is kept: as so many steps of all games, with time as the
-first axis. A minibatch is some of these steps, drawn at random: games have long drifted apart, so
-what they do in a step is as good as drawn from everywhere, and nothing has to be gathered.
+first axis. A minibatch is all moves of some of these steps, drawn at random: games have long
+drifted apart, so what they do in a step is as good as drawn from everywhere.
 
 Rows of games (M, N) are kept with games fastest, R = N · M in all: as the device has them
 (:mod:`marouting.cuda.env`).
@@ -11,7 +11,7 @@ Rows of games (M, N) are kept with games fastest, R = N · M in all: as the devi
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -47,6 +47,30 @@ class Iteration:
     episodes: int
     joined: float
     loss: float
+
+
+class Moves(NamedTuple):
+    """K moves of agents, and what PPO learns from them.
+
+    Attributes:
+        obs: (F, K) what the agents saw.
+        mask: (A, K) the moves that they could make.
+        action: (K,) the moves that they made.
+        chance: (K,) the logarithms of the chances of these.
+        advantage: (K,) how much better they were than expected.
+        returns: (K,) what the critic should have expected.
+        game: (K,) the games that they were made in.
+        state: (S, M) the states of all games, which a central critic saw as well.
+    """
+
+    obs: Tensor
+    mask: Tensor
+    action: Tensor
+    chance: Tensor
+    advantage: Tensor
+    returns: Tensor
+    game: Tensor
+    state: Tensor
 
 
 class DevicePPO:
@@ -242,45 +266,55 @@ class DevicePPO:
         left = max(1 - self.progress, 0.0) if o.anneal else 1.0
         for group in self.adam.param_groups:
             group["lr"] = o.learning_rate * left
+        moves = [self._moves_of(t, advantage[t], returns[t]) for t in range(self.steps)]
+        moves = [some for some in moves if len(some.action)]
         loss = torch.zeros((), device=self.device)
         size = max(1, min(self.steps, round(o.minibatch / self.rows)))
         count = 0
         for _ in range(o.epochs):
-            order = torch.randperm(self.steps, generator=self.random, device=self.device)
+            order = torch.randperm(len(moves), generator=self.random, device=self.device)
             for part in torch.split(order.cpu(), size):
                 count += 1
-                loss += self._update(part.tolist(), advantage, returns)
-        return loss / count
+                loss += self._update([moves[t] for t in part.tolist()])
+        return loss / max(count, 1)
 
-    def _update(self, steps: list[int], advantage: Tensor, returns: Tensor) -> Tensor:
+    def _moves_of(self, t: int, advantage: Tensor, returns: Tensor) -> Moves:
+        """The moves that agents made in a step: agents that wait or are done made none."""
+        rows = self.acted[t].nonzero()[:, 0]
+        return Moves(
+            self.obs[t].index_select(1, rows),
+            self.mask[t].index_select(1, rows),
+            self.action[t][rows],
+            self.chance[t][rows],
+            advantage[rows],
+            returns[rows],
+            rows % self.games,
+            self.global_state[t],
+        )
+
+    def _update(self, parts: list[Moves]) -> Tensor:
         """A gradient step on some steps of the rollout; returns the critic's loss."""
         o = self.options
-
-        def of(rollout: Tensor) -> Tensor:
-            if len(steps) == 1:
-                return rollout[steps[0]]
-            return torch.cat([rollout[t] for t in steps], dim=-1)
-
-        obs = of(self.obs)
+        obs, mask, action, chance, advantage, returns = (
+            each[0] if len(each) == 1 else torch.cat(each, dim=-1)
+            for each in list(zip(*parts, strict=True))[:6]
+        )
         both = obs
         if self.central:
-            both = torch.cat([self._both(self.obs[t], self.global_state[t]) for t in steps], dim=-1)
-        weight = of(self.acted).float()
-        weight = weight / weight.sum().clamp(min=1)
+            seen = [torch.cat((of.obs, of.state.index_select(1, of.game))) for of in parts]
+            both = torch.cat(seen, dim=1)
         scores = self.actor(obs.t())
         if o.masking:
-            scores = scores.masked_fill(~of(self.mask).t(), _NEVER)
+            scores = scores.masked_fill(~mask.t(), _NEVER)
         chances = torch.log_softmax(scores, dim=1)
-        gain = of(advantage)
-        mean = (gain * weight).sum()
-        spread = ((gain - mean).square() * weight).sum().sqrt()
-        gain = (gain - mean) / (spread + 1e-8)
-        ratio = (chances.gather(1, of(self.action)[:, None])[:, 0] - of(self.chance)).exp()
+        gain = advantage - advantage.mean()
+        gain = gain / (gain.square().mean().sqrt() + 1e-8)
+        ratio = (chances.gather(1, action[:, None])[:, 0] - chance).exp()
         clipped = ratio.clamp(1 - o.clip, 1 + o.clip)
-        policy = -(torch.minimum(ratio * gain, clipped * gain) * weight).sum()
-        entropy = -((chances.exp() * chances).sum(dim=1) * weight).sum()
+        policy = -torch.minimum(ratio * gain, clipped * gain).mean()
+        entropy = -(chances.exp() * chances).sum(dim=1).mean()
         value = self.critic(both.t())[:, 0]
-        error = ((value - of(returns)).square() * weight).sum() / 2
+        error = (value - returns).square().mean() / 2
         self.adam.zero_grad(set_to_none=True)
         (policy - o.entropy * entropy + error).backward()
         for network in (self.actor, self.critic):
