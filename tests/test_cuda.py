@@ -214,7 +214,7 @@ def learner(steps: int, games: int = 4, **options: Any) -> DevicePPO:
 def test_advantages_are_those_of_a_loop_over_moves() -> None:
     ppo = learner(40, gamma=0.9, gae_lambda=0.8)
     ppo.play()
-    found = ppo.advantages()
+    found, waits = ppo.advantages()
     games = ppo.games
     for row in range(ppo.rows):
         ahead, gain, late = float(ppo.value[-1, row]), 0.0, 0.0
@@ -230,9 +230,39 @@ def test_advantages_are_those_of_a_loop_over_moves() -> None:
             gain = late + 0.9 * ahead - value + 0.9 * 0.8 * gain
             ahead, late = value, 0.0
             assert float(found[t, row]) == pytest.approx(gain, abs=1e-4)
+            goes_on = not ppo.over[t:, row % games].any()
+            assert bool(waits[t, row]) == (bool(ppo.done[t, row]) and goes_on)
+            gain *= not waits[t, row]
     assert ppo.over.any()
+    assert waits.any()
     assert ppo.acted.any()
     assert not ppo.acted.all()
+
+
+def test_a_last_move_is_paid_until_its_game_is_over() -> None:
+    ppo = learner(8)
+    paid: dict[int, float] = {}  # by row: of the moves that wait
+    late = made = learned = 0
+    for _ in range(12):
+        ppo.play()
+        _, waits = ppo.advantages()
+        moves = ppo._learned_from()
+        for t, some in enumerate(moves):
+            for row in paid:
+                paid[row] += float(ppo.reward[t, row])
+            over = [row for row in sorted(paid) if ppo.over[t, row % ppo.games]]
+            at_once = int((ppo.acted[t] & ~waits[t]).sum())
+            assert some.returns[at_once:].tolist() == pytest.approx(
+                [paid.pop(row) for row in over], abs=1e-4
+            )
+            late += len(over)
+        for row in waits.any(dim=0).nonzero()[:, 0].tolist():
+            t = int(waits[:, row].nonzero()[0, 0])  # failures are final here
+            paid[row] = float(ppo.reward[t:, row].sum())
+        made += int(ppo.acted.sum())
+        learned += sum(len(some.action) for some in moves)
+    assert late
+    assert learned + len(paid) == made
 
 
 def test_moves_of_the_window_are_turned_into_those_of_the_grid() -> None:

@@ -467,9 +467,9 @@ def test_backends_train_alike(agents: Any, shared: bool) -> None:
     np.testing.assert_allclose(networks_of(compiled), networks_of(batched), atol=1e-5)
 
 
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+@pytest.mark.gpu
 @pytest.mark.parametrize("agents", ["single", "multi"])
-def test_a_gpu_trains_alike(agents: Any) -> None:  # pragma: no cover - none where CI runs
+def test_a_gpu_trains_alike(agents: Any) -> None:
     problems = {"p": tiny(), "q": tiny(1, nets=1)}
     config = small_config(6, agents=agents, fused=False, epsilon=0.2, target_period=5)
     here = Trainer(problems, config)

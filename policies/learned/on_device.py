@@ -2,14 +2,16 @@
 
 The algorithm is that of :mod:`policies.learned.algorithms.ppo`, with the same options, losses and
 networks. What differs is how a rollout is kept: as so many steps of all games, with time as the
-first axis. A minibatch is all moves of some of these steps, drawn at random: games have long
-drifted apart, so what they do in a step is as good as drawn from everywhere.
+first axis. A minibatch is all moves of some of these steps, drawn at random.
+
+The last move of an agent waits until its game is over: rewards may pay the agent until then. It is
+learned from with the moves of the step in which the game ends.
 
 Rows of games (M, N) are kept with games fastest, R = N · M in all: as the device has them
 (:mod:`marouting.cuda.env`).
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -57,20 +59,30 @@ class Moves(NamedTuple):
         mask: (A, K) the moves that they could make.
         action: (K,) the moves that they made.
         chance: (K,) the logarithms of the chances of these.
-        advantage: (K,) how much better they were than expected.
-        returns: (K,) what the critic should have expected.
-        game: (K,) the games that they were made in.
-        state: (S, M) the states of all games, which a central critic saw as well.
+        value: (K,) what the critic expected.
+        returns: (K,) what it should have expected.
+        state: (S, J) the states of games, which a central critic saw as well; S is 0 for others.
+        game: (K,) the columns of ``state``.
     """
 
     obs: Tensor
     mask: Tensor
     action: Tensor
     chance: Tensor
-    advantage: Tensor
+    value: Tensor
     returns: Tensor
-    game: Tensor
     state: Tensor
+    game: Tensor
+
+    @classmethod
+    def joined(cls, parts: Sequence["Moves"]) -> "Moves":
+        """All moves of some."""
+        if len(parts) == 1:
+            return parts[0]
+        *rest, game = zip(*parts, strict=True)
+        states = [0, *(part.state.shape[1] for part in parts[:-1])]
+        shifted = [g + at for g, at in zip(game, np.cumsum(states).tolist(), strict=True)]
+        return cls(*(torch.cat(list(each), dim=-1) for each in (*rest, shifted)))
 
 
 class DevicePPO:
@@ -85,6 +97,7 @@ class DevicePPO:
 
     Attributes:
         progress: the share of the training that is done, by which the learning rate falls.
+        waits: (R,) whether the last move of an agent of an earlier rollout waits.
         updates: gradient steps so far.
         actor: gives the scores of moves.
         critic: gives the value of what an agent sees.
@@ -135,9 +148,13 @@ class DevicePPO:
         self.chance, self.reward = (torch.zeros(each, **new) for _ in range(2))
         self.value = torch.zeros((steps + 1, self.rows), **new)
         self.after = torch.zeros(each, **new)
-        self.acted = torch.zeros(each, dtype=torch.bool, **new)
-        self.joined, self.failed = torch.zeros((2, *each), dtype=torch.bool, **new)
+        self.acted, self.done, self.joined, self.failed = torch.zeros(
+            (4, *each), dtype=torch.bool, **new
+        )
         self.over = torch.zeros((steps, self.games), dtype=torch.bool, **new)
+        self.waits = torch.zeros(self.rows, dtype=torch.bool, **new)
+        # Those that wait, by row; ``returns`` is what has been paid so far.
+        self.waiting = self._made(0, torch.arange(self.rows, **new), self.reward[0], by_row=True)
         self.progress, self.updates = 0.0, 0
         self.now, self.info = env.reset()
 
@@ -176,7 +193,7 @@ class DevicePPO:
             self.chance[t] = chances.gather(1, chosen[:, None])[:, 0]
             self.value[t] = self.critic(self._both(obs, self.global_state[t]).t())[:, 0]
             moves = self._moves(chosen, obs).to(torch.int16).view(self.agents, self.games).t()
-            self._step(moves)
+            self.done[t] = self._step(moves)
             self.reward[t] = self.flat(self.paid) * self.options.reward_scale
             ending = self.flat(self.info["task_ended"])
             self.acted[t] = self.flat(self.info["acted"])
@@ -190,13 +207,15 @@ class DevicePPO:
         state = self._state() if self.central else self.global_state[0]
         self.value[self.steps] = self.critic(self._both(seen, state).t())[:, 0]
 
-    def _step(self, moves: Tensor) -> None:
+    def _step(self, moves: Tensor) -> Tensor:
+        """Makes the moves (M, N); returns (R,) whether agents are done."""
         if on_cuda(self.env):
             actions: Any = self.env.actions  # type: ignore[attr-defined]
             self.tensor(actions).copy_(moves)
         else:
             actions = moves.numpy()
-        self.now, self.paid, _, _, self.info = self.env.step(actions)
+        self.now, self.paid, terminated, truncated, self.info = self.env.step(actions)
+        return self.flat(terminated) | self.flat(truncated)
 
     def _seen(self, obs: Any) -> Tensor:
         return self.flat(obs) if obs.ndim == 3 else self.flat(obs.reshape(*obs.shape[:2], -1))
@@ -234,40 +253,40 @@ class DevicePPO:
     # --- learning -----------------------------------------------------------------------------
 
     @torch.no_grad()
-    def advantages(self) -> Tensor:
-        """(T, R) generalised advantage estimates (Schulman et al., 2016).
+    def advantages(self) -> tuple[Tensor, Tensor]:
+        """(T, R) generalised advantage estimates (Schulman et al., 2016), and which moves wait.
 
-        What is paid to an agent after its last move of an episode counts as paid for that move, as
-        far as the rollout reaches.
+        What is paid to an agent after its last move of an episode counts as paid for that move. Of
+        a move that waits, the estimate holds what has been paid so far.
         """
         o = self.options
-        advantage = torch.zeros_like(self.reward)
+        advantage, waits = torch.zeros_like(self.reward), torch.zeros_like(self.acted)
         ahead, gain = self.value[self.steps].clone(), torch.zeros_like(self.reward[0])
         late, zero = torch.zeros_like(gain), torch.zeros_like(gain)
+        goes_on = torch.ones_like(self.acted[0])  # whether the game does, after this rollout
         for t in reversed(range(self.steps)):
             over = self.over[t].repeat(self.agents)
             ahead, gain, late = (torch.where(over, zero, part) for part in (ahead, gain, late))
+            goes_on &= ~over
             acted, joined, failed = self.acted[t], self.joined[t], self.failed[t]
             ahead = torch.where(joined, zero, torch.where(failed, self.after[t], ahead))
             gain = torch.where(joined | failed, zero, gain)
             late = late + self.reward[t]
             found = late + o.gamma * ahead - self.value[t] + o.gamma * o.gae_lambda * gain
             advantage[t] = found
-            gain = torch.where(acted, found, gain)
+            waits[t] = acted & self.done[t] & goes_on
+            gain = torch.where(acted, torch.where(waits[t], zero, found), gain)
             ahead = torch.where(acted, self.value[t], ahead)
             late = torch.where(acted, zero, late)
-        return advantage
+        return advantage, waits
 
     def learn(self) -> Tensor:
         """The updates of a rollout; returns the critic's mean loss."""
         o = self.options
-        advantage = self.advantages()
-        returns = advantage + self.value[: self.steps]
         left = max(1 - self.progress, 0.0) if o.anneal else 1.0
         for group in self.adam.param_groups:
             group["lr"] = o.learning_rate * left
-        moves = [self._moves_of(t, advantage[t], returns[t]) for t in range(self.steps)]
-        moves = [some for some in moves if len(some.action)]
+        moves = [some for some in self._learned_from() if len(some.action)]
         loss = torch.zeros((), device=self.device)
         size = max(1, min(self.steps, round(o.minibatch / self.rows)))
         count = 0
@@ -275,39 +294,60 @@ class DevicePPO:
             order = torch.randperm(len(moves), generator=self.random, device=self.device)
             for part in torch.split(order.cpu(), size):
                 count += 1
-                loss += self._update([moves[t] for t in part.tolist()])
+                loss += self._update(Moves.joined([moves[t] for t in part.tolist()]))
         return loss / max(count, 1)
 
-    def _moves_of(self, t: int, advantage: Tensor, returns: Tensor) -> Moves:
-        """The moves that agents made in a step: agents that wait or are done made none."""
-        rows = self.acted[t].nonzero()[:, 0]
-        return Moves(
-            self.obs[t].index_select(1, rows),
-            self.mask[t].index_select(1, rows),
-            self.action[t][rows],
-            self.chance[t][rows],
-            advantage[rows],
-            returns[rows],
-            rows % self.games,
-            self.global_state[t],
-        )
+    @torch.no_grad()
+    def _learned_from(self) -> list[Moves]:
+        """The moves of every step that are learned from; those whose games go on begin to wait."""
+        advantage, waits = self.advantages()
+        learned, found = self.acted & ~waits, []
+        for t in range(self.steps):
+            self.waiting.returns.add_(self.reward[t] * self.waits)
+            ends = self.waits & self.over[t].repeat(self.agents)
+            self.waits &= ~ends
+            late = ends.nonzero()[:, 0]
+            *parts, _ = (part.index_select(-1, late) for part in self.waiting)
+            waited = Moves._make([*parts, torch.arange(len(late), device=self.device)])
+            moves = self._made(t, learned[t].nonzero()[:, 0], advantage[t])
+            found.append(Moves.joined([moves, waited]) if len(late) else moves)
+        for t in range(self.steps):
+            rows = waits[t].nonzero()[:, 0]
+            made = self._made(t, rows, advantage[t], by_row=True)
+            for kept, new in zip(self.waiting[:-1], made[:-1], strict=True):
+                kept[..., rows] = new
+            self.waits[rows] = True
+        return found
 
-    def _update(self, parts: list[Moves]) -> Tensor:
-        """A gradient step on some steps of the rollout; returns the critic's loss."""
-        o = self.options
-        obs, mask, action, chance, advantage, returns = (
-            each[0] if len(each) == 1 else torch.cat(each, dim=-1)
-            for each in list(zip(*parts, strict=True))[:6]
+    def _made(self, t: int, rows: Tensor, advantage: Tensor, *, by_row: bool = False) -> Moves:
+        """The moves of some rows (K,) in a step, whose advantages (R,) are given.
+
+        Args:
+            t: the step.
+            rows: of the agents.
+            advantage: of all rows.
+            by_row: whether every move has a state of its own.
+        """
+        obs, mask, action, chance, value = (
+            part[t].index_select(-1, rows)
+            for part in (self.obs, self.mask, self.action, self.chance, self.value)
         )
-        both = obs
-        if self.central:
-            seen = [torch.cat((of.obs, of.state.index_select(1, of.game))) for of in parts]
-            both = torch.cat(seen, dim=1)
+        returns, state, game = advantage[rows] + value, self.global_state[t], rows % self.games
+        if by_row:
+            state, game = state.index_select(1, game), torch.arange(len(rows), device=self.device)
+        return Moves(obs, mask, action, chance, value, returns, state, game)
+
+    def _update(self, moves: Moves) -> Tensor:
+        """A gradient step; returns the critic's loss."""
+        o = self.options
+        obs, mask, action, chance, expected, returns, state, game = moves
+        both = torch.cat((obs, state.index_select(1, game))) if self.central else obs
         scores = self.actor(obs.t())
         if o.masking:
             scores = scores.masked_fill(~mask.t(), _NEVER)
         chances = torch.log_softmax(scores, dim=1)
-        gain = advantage - advantage.mean()
+        gain = returns - expected
+        gain = gain - gain.mean()
         gain = gain / (gain.square().mean().sqrt() + 1e-8)
         ratio = (chances.gather(1, action[:, None])[:, 0] - chance).exp()
         clipped = ratio.clamp(1 - o.clip, 1 + o.clip)
@@ -347,6 +387,8 @@ class DevicePPO:
             "critic": flat(self.critic.parameters()).detach().cpu(),
             "moments": [{k: v.detach().cpu() for k, v in m.items()} for m in moments],
             "random": self.random.get_state().cpu(),
+            "waits": self.waits.cpu(),
+            "waiting": [part[..., self.waits].cpu() for part in self.waiting[:-1]],
             "updates": self.updates,
             "games": [as_rows(array) for array in env.save()],
         }
@@ -365,6 +407,10 @@ class DevicePPO:
                 }
                 step = checked(kept["step"], torch.zeros(()), f"{where}: step")
                 self.adam.state[parameter] = {"step": step.to(self._adam_steps), **found}
+        self.waits = checked(state["waits"], self.waits.cpu(), f"{where}: waits").to(self.device)
+        for kept, part in zip(state["waiting"], self.waiting[:-1], strict=True):
+            now = part[..., self.waits].cpu()
+            part[..., self.waits] = checked(kept, now, f"{where}: waiting").to(self.device)
         self.random.set_state(state["random"])
         self.updates = int(state["updates"])
         env: Any = self.env
