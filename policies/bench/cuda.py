@@ -45,7 +45,7 @@ SCENARIO = "gates-8x7-v0"
 TRAININGS = (("ippo", 16384, 12, 32), ("mappo", 16384, 12, 32), ("ippo", 131072, 8, 16))
 """Learners, numbers of games, how long they train, and the steps of a rollout."""
 
-CONNECTORS = ((16384, 0), (65536, 0), (262144, 0), (16384, 3), (65536, 3))
+CONNECTORS = ((16384, 0), (65536, 0), (262144, 0), (65536, 3), (262144, 3))
 """Numbers of games, and radii of the windows around agents; 0 for Connector's own observation."""
 
 GAMES = (4096, 16384, 65536, 262144)
