@@ -206,7 +206,7 @@ class ProblemStream:
             raise InputError(f"problem: expected one grid shape, found {sorted(grids)}")
         nets: set[int] = set()
         for name, problem in self.problems.items():
-            routed = np.flatnonzero(np.diff(problem.flat_pin_gcells[0]) > 1)
+            routed = np.flatnonzero(problem.to_route)
             if not len(routed):
                 raise InputError(f"{name}: expected a net with pins in two Gcells or more")
             nets.update(routed.tolist())

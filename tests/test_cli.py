@@ -1484,14 +1484,14 @@ def test_a_problem_with_nothing_to_route(
     here: Path, capsys: pytest.CaptureFixture[str], refused: Callable[..., str]
 ) -> None:
     Path("p.gr").write_text(NOTHING)
-    for router in ("astar", "pathfinder", "optimal"):
+    for router in ("astar", "pathfinder", "optimal", "greedy", "random", "generalist", "dqn"):
         done = ["route", "p.gr", "--router", router, "--out", "p.solution", "--json"]
         for command in (done, ["evaluate", "p.gr", "p.solution", "--json"]):
             found = only_object(printed(capsys, *command))
             assert (found["overflow"], found["wirelength"], found["tasks"]) == (0, 0, 0)
             assert found["connected"]
     assert len(pictures(printed(capsys, "plot", "p.gr", "p.solution"))) == 5
-    routers = {name: {"router": name} for name in ("astar", "pathfinder", "optimal")}
+    routers = {name: {"router": name} for name in ("astar", "pathfinder", "optimal", "random")}
     config = {"out": "out", "jobs": 1, "reference": "astar", "problems": {"s": "p.gr"}}
     Path("e.yaml").write_text(yaml.safe_dump({**config, "routers": routers}))
     summary = only_object(printed(capsys, "experiment", "e.yaml", "--json"))
@@ -1502,12 +1502,7 @@ def test_a_problem_with_nothing_to_route(
             assert row["lower_wirelength"]["percent"] == 0
     assert len(pictures(printed(capsys, "plot", "out"))) == 3
     said = "expected a net with pins in two Gcells or more"
-    for command in (
-        ["train", "small.yaml", "env.problem=p.gr", "out=r"],
-        ["route", "p.gr", "--router", "dqn", *FAST],
-        ["route", "p.gr", "--router", "random"],
-    ):
-        assert said in refused(*command)
+    assert said in refused("train", "small.yaml", "env.problem=p.gr", "out=r")
     assert not (here / "r").exists()
     with pytest.raises(InputError, match=said):
         marouting.make({"env": {"problem": "p.gr"}})

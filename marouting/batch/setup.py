@@ -77,7 +77,7 @@ def static_state(
         raise InputError(f"problems: expected one grid shape, found {shapes}")
     grid = Grid.of(problems[0].grid)
     overflow = rules.overflow == "allowed"
-    routed = [np.flatnonzero(np.diff(p.flat_pin_gcells[0]) > 1) for p in problems]
+    routed = [np.flatnonzero(p.to_route) for p in problems]
     for m, nets in enumerate(routed):
         if not len(nets):
             raise InputError(f"problem {m}: expected a net with pins in two Gcells or more")

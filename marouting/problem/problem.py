@@ -323,6 +323,12 @@ class Problem:
             table.setflags(write=False)
         return first, gcell
 
+    @property
+    def to_route(self) -> NDArray[np.bool_]:
+        """(nets,) whether a net has pins in several Gcells, and so needs a route."""
+        routed: NDArray[np.bool_] = np.diff(self.flat_pin_gcells[0]) > 1
+        return routed
+
     def pin_boxes(self) -> NDArray[np.int64]:
         """(2, nets, 3) the first and the last column, row and layer, in Gcells, of a net's pins."""
         first, gcell = self.flat_pin_gcells

@@ -302,7 +302,7 @@ class Scenario:
                 raise InputError(f"{self.name}: generator: expected a Problem, found {problem!r}")
             if self._digest(problem) in excluded:
                 known += 1
-            elif _has_tasks(problem) and (fits is None or fits(problem)):
+            elif problem.to_route.any() and (fits is None or fits(problem)):
                 return self._within_largest(problem)
         raise InputError(
             f"{self.name}: the generator draws too few different problems that fit: {known} of "
@@ -310,11 +310,6 @@ class Scenario:
             f"{ATTEMPTS - known} have nothing to route, are refused by accept or are larger than "
             "all of those; lower validation and test, or draw more varied problems"
         )
-
-
-def _has_tasks(problem: Problem) -> bool:
-    """Whether a net has pins in several Gcells."""
-    return bool((np.diff(problem.flat_pin_gcells[0]) > 1).any())
 
 
 def _size(problem: Problem) -> NDArray[np.integer]:

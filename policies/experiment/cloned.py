@@ -67,7 +67,9 @@ def demonstrations(
         rows = info["active"] & (mask.sum(-1) > 1)
         now, allowed, move = obs[rows].copy(), mask[rows], chosen[rows].astype(np.int64)
         if has_move_order(env.observation):
-            order = move_order_of(env.observation, now, env.engine.actions)
+            order = move_order_of(
+                env.observation, now, env.engine.actions, env.engine.rules.messages
+            )
             allowed = np.take_along_axis(allowed, order, -1)
             move = (order == move[:, None]).argmax(-1)
         seen.append(now)

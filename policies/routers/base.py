@@ -109,7 +109,13 @@ def warm_up(router: Router) -> None:
 
 
 def solve(router: Router, problem: Problem) -> tuple[Solution, dict[str, Any]]:
-    """A router's solution and its report, which is empty if the router makes none."""
+    """A router's solution and its report, which is empty if the router makes none.
+
+    A problem with nothing to route has an empty solution, the optimum, whatever the router.
+    """
+    if not problem.to_route.any():
+        none = np.zeros(0, np.int64)
+        return Solution.of_uses(problem, none, none), {"status": "optimal"}
     if not isinstance(router, Reporter):
         return router.route(problem), {}
     routed = router.solve(problem)

@@ -80,8 +80,7 @@ def passes_in_time(problem: Problem, seconds: float | None) -> float:
         return np.inf
     low, high = problem.pin_boxes()
     reach = np.minimum(high - low + 1 + 2 * MARGIN, problem.grid)[:, :VIA_AXIS]
-    several = np.diff(problem.flat_pin_gcells[0]) > 1
-    points = float(reach[several].prod(axis=1).sum()) * problem.grid[VIA_AXIS]
+    points = float(reach[problem.to_route].prod(axis=1).sum()) * problem.grid[VIA_AXIS]
     return np.inf if points == 0 else seconds / (SECONDS_PER_POINT * points)
 
 
