@@ -215,7 +215,7 @@ def test_advantages_are_those_of_a_loop_over_moves() -> None:
     ppo = learner(40, gamma=0.9, gae_lambda=0.8)
     ppo.play()
     found, waits = ppo.advantages()
-    games = ppo.games
+    active, games = ppo.flat(ppo.info["active"]), ppo.games
     for row in range(ppo.rows):
         ahead, gain, late = float(ppo.value[-1, row]), 0.0, 0.0
         for t in reversed(range(ppo.steps)):
@@ -230,8 +230,8 @@ def test_advantages_are_those_of_a_loop_over_moves() -> None:
             gain = late + 0.9 * ahead - value + 0.9 * 0.8 * gain
             ahead, late = value, 0.0
             assert float(found[t, row]) == pytest.approx(gain, abs=1e-4)
-            goes_on = not ppo.over[t:, row % games].any()
-            assert bool(waits[t, row]) == (bool(ppo.done[t, row]) and goes_on)
+            last = not ppo.acted[t + 1 :, row].any() and not ppo.over[t:, row % games].any()
+            assert bool(waits[t, row]) == (last and not active[row])
             gain *= not waits[t, row]
     assert ppo.over.any()
     assert waits.any()
@@ -263,6 +263,27 @@ def test_a_last_move_is_paid_until_its_game_is_over() -> None:
         learned += sum(len(some.action) for some in moves)
     assert late
     assert learned + len(paid) == made
+
+
+@pytest.mark.parametrize("steps", [1, 4, 40])
+@pytest.mark.parametrize("rip_up", [{}, {"rounds": 2, "choose": "conflicts"}])
+def test_all_that_is_paid_is_learned_from_once(rip_up: dict[str, Any], steps: int) -> None:
+    options: dict[str, Any] = {"reward": "team", "max_steps": 7, "rip_up": rip_up or None}
+    problems = marouting.generate(3, nets=4, grid=(4, 4, 2), capacity=1, reduced_edges=0)
+    batch = BatchEnv(3, problem=problems, **options)
+    wanted = {"final_failures": True, "gamma": 1.0, "gae_lambda": 0.0}
+    observation = game_options(options).observation.make()
+    ppo = DevicePPO(batch, observation, build(PPOOptions, wanted), steps=steps)
+    paid = learned = 0.0
+    for _ in range(-(-40 // steps)):
+        ppo.play()
+        ppo.value.zero_()
+        paid += float(ppo.reward.sum())
+        learned += sum(float(moves.returns.sum()) for moves in ppo._learned_from())
+    waiting = float(ppo.waiting.returns[ppo.waits].sum())
+    assert learned + waiting == pytest.approx(paid, abs=1e-3)
+    assert paid != 0
+    ppo.iterate()  # also where all moves of a rollout wait
 
 
 def test_moves_of_the_window_are_turned_into_those_of_the_grid() -> None:

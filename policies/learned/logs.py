@@ -18,6 +18,7 @@ the reference's overflow and no open task. The speed is that of this process: a 
 shows it from there on.
 """
 
+import contextlib
 import functools
 import json
 import os
@@ -85,19 +86,24 @@ class Logs:
         wandb: Mapping[str, Any] | None = None,
     ) -> None:
         self._wandb = None if wandb is None else _wandb_run(folder, wandb)
-        self._episodes = _Lines(folder / METRICS, logged[0])
-        self._walks = _Lines(folder / EVALUATIONS, logged[1])
         self._events: Events | None = None
-        if tensorboard:
-            # The lines hold all that was logged: a resumed run's events are made anew from them,
-            # without those that a killed run wrote after its last checkpoint.
-            shutil.rmtree(folder / "tensorboard", ignore_errors=True)
-            self._events = Events(folder / "tensorboard", problems, reference, drawn=drawn)
-            for episode in read_episodes(folder / METRICS):
-                self._events.show(episode)
-            for walk in read_evaluations(folder / EVALUATIONS):
-                self._events.show(walk)
-            self._events.start_clock()
+        with contextlib.ExitStack() as opened:
+            self._episodes, self._walks = (
+                opened.enter_context(contextlib.closing(_Lines(folder / name, size)))
+                for name, size in zip((METRICS, EVALUATIONS), logged, strict=True)
+            )
+            if tensorboard:
+                # The lines hold all that was logged: a resumed run's events are made anew from
+                # them, without those that a killed run wrote after its last checkpoint.
+                shutil.rmtree(folder / "tensorboard", ignore_errors=True)
+                self._events = Events(folder / "tensorboard", problems, reference, drawn=drawn)
+                opened.callback(self._events.close)
+                for episode in read_episodes(folder / METRICS):
+                    self._events.show(episode)
+                for walk in read_evaluations(folder / EVALUATIONS):
+                    self._events.show(walk)
+                self._events.start_clock()
+            self._opened = opened.pop_all()
 
     def write(self, episodes: Sequence[Episode], walks: Sequence[GreedyEvaluation] = ()) -> None:
         """Logs finished episodes, and evaluations."""
@@ -134,10 +140,7 @@ class Logs:
     ) -> None:
         """Closes the files."""
         threading.excepthook = self._hook
-        self._episodes.close()
-        self._walks.close()
-        if self._events is not None:
-            self._events.close()
+        self._opened.close()
         if self._wandb is not None:
             self._wandb.finish(exit_code=int(kind is not None))
 
@@ -165,10 +168,14 @@ class _Lines:
         self._named = functools.partial(naming, path, "cannot be written")
         with self._named():
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = path.open("a+", encoding="utf-8", newline="\n")
-            if self._file.tell() < logged:
-                raise InputError(f"{path}: expected at least {logged} bytes, as at the checkpoint")
-            self._file.truncate(logged)
+            file = path.open("a+", encoding="utf-8", newline="\n")
+            with contextlib.ExitStack() as opened:
+                self._file = opened.enter_context(file)
+                if file.tell() < logged:
+                    what = f"at least {logged} bytes, as at the checkpoint"
+                    raise InputError(f"{path}: expected {what}")
+                file.truncate(logged)
+                opened.pop_all()
 
     def write(self, lines: Sequence[Episode | GreedyEvaluation]) -> None:
         with self._named():

@@ -4,8 +4,8 @@ The algorithm is that of :mod:`policies.learned.algorithms.ppo`, with the same o
 networks. What differs is how a rollout is kept: as so many steps of all games, with time as the
 first axis. A minibatch is all moves of some of these steps, drawn at random.
 
-The last move of an agent waits until its game is over: rewards may pay the agent until then. It is
-learned from with the moves of the step in which the game ends.
+The last move of an agent waits until its game is over, or the agent is ripped up and moves again:
+rewards may pay the agent until then. It is learned from with the moves of that step.
 
 Rows of games (M, N) are kept with games fastest, R = N · M in all: as the device has them
 (:mod:`marouting.cuda.env`).
@@ -27,7 +27,7 @@ from marouting.observations import has_move_order
 from marouting.problem.grid import MOVES
 from marouting.vector import BatchEnv
 from policies.learned.algorithms.ppo import PPOOptions
-from policies.learned.checkpoint import as_rows, checked, from_rows
+from policies.learned.checkpoint import FINITE, as_rows, checked, from_rows
 from policies.learned.learner import check_network
 from policies.learned.machine import torch_device
 
@@ -148,9 +148,7 @@ class DevicePPO:
         self.chance, self.reward = (torch.zeros(each, **new) for _ in range(2))
         self.value = torch.zeros((steps + 1, self.rows), **new)
         self.after = torch.zeros(each, **new)
-        self.acted, self.done, self.joined, self.failed = torch.zeros(
-            (4, *each), dtype=torch.bool, **new
-        )
+        self.acted, self.joined, self.failed = torch.zeros((3, *each), dtype=torch.bool, **new)
         self.over = torch.zeros((steps, self.games), dtype=torch.bool, **new)
         self.waits = torch.zeros(self.rows, dtype=torch.bool, **new)
         # Those that wait, by row; ``returns`` is what has been paid so far.
@@ -193,7 +191,7 @@ class DevicePPO:
             self.chance[t] = chances.gather(1, chosen[:, None])[:, 0]
             self.value[t] = self.critic(self._both(obs, self.global_state[t]).t())[:, 0]
             moves = self._moves(chosen, obs).to(torch.int16).view(self.agents, self.games).t()
-            self.done[t] = self._step(moves)
+            self._step(moves)
             self.reward[t] = self.flat(self.paid) * self.options.reward_scale
             ending = self.flat(self.info["task_ended"])
             self.acted[t] = self.flat(self.info["acted"])
@@ -207,15 +205,14 @@ class DevicePPO:
         state = self._state() if self.central else self.global_state[0]
         self.value[self.steps] = self.critic(self._both(seen, state).t())[:, 0]
 
-    def _step(self, moves: Tensor) -> Tensor:
-        """Makes the moves (M, N); returns (R,) whether agents are done."""
+    def _step(self, moves: Tensor) -> None:
+        """Makes the moves (M, N)."""
         if on_cuda(self.env):
             actions: Any = self.env.actions  # type: ignore[attr-defined]
             self.tensor(actions).copy_(moves)
         else:
             actions = moves.numpy()
-        self.now, self.paid, terminated, truncated, self.info = self.env.step(actions)
-        return self.flat(terminated) | self.flat(truncated)
+        self.now, self.paid, _, _, self.info = self.env.step(actions)
 
     def _seen(self, obs: Any) -> Tensor:
         return self.flat(obs) if obs.ndim == 3 else self.flat(obs.reshape(*obs.shape[:2], -1))
@@ -263,18 +260,19 @@ class DevicePPO:
         advantage, waits = torch.zeros_like(self.reward), torch.zeros_like(self.acted)
         ahead, gain = self.value[self.steps].clone(), torch.zeros_like(self.reward[0])
         late, zero = torch.zeros_like(gain), torch.zeros_like(gain)
-        goes_on = torch.ones_like(self.acted[0])  # whether the game does, after this rollout
+        idle = ~self.flat(self.info["active"]).bool()  # after the rollout, in a game that goes on
         for t in reversed(range(self.steps)):
             over = self.over[t].repeat(self.agents)
             ahead, gain, late = (torch.where(over, zero, part) for part in (ahead, gain, late))
-            goes_on &= ~over
+            idle &= ~over
             acted, joined, failed = self.acted[t], self.joined[t], self.failed[t]
             ahead = torch.where(joined, zero, torch.where(failed, self.after[t], ahead))
             gain = torch.where(joined | failed, zero, gain)
             late = late + self.reward[t]
             found = late + o.gamma * ahead - self.value[t] + o.gamma * o.gae_lambda * gain
             advantage[t] = found
-            waits[t] = acted & self.done[t] & goes_on
+            waits[t] = acted & idle
+            idle &= ~acted
             gain = torch.where(acted, torch.where(waits[t], zero, found), gain)
             ahead = torch.where(acted, self.value[t], ahead)
             late = torch.where(acted, zero, late)
@@ -288,6 +286,8 @@ class DevicePPO:
             group["lr"] = o.learning_rate * left
         moves = [some for some in self._learned_from() if len(some.action)]
         loss = torch.zeros((), device=self.device)
+        if not moves:
+            return loss
         size = max(1, min(self.steps, round(o.minibatch / self.rows)))
         count = 0
         for _ in range(o.epochs):
@@ -295,7 +295,7 @@ class DevicePPO:
             for part in torch.split(order.cpu(), size):
                 count += 1
                 loss += self._update(Moves.joined([moves[t] for t in part.tolist()]))
-        return loss / max(count, 1)
+        return loss / count
 
     @torch.no_grad()
     def _learned_from(self) -> list[Moves]:
@@ -303,8 +303,9 @@ class DevicePPO:
         advantage, waits = self.advantages()
         learned, found = self.acted & ~waits, []
         for t in range(self.steps):
-            self.waiting.returns.add_(self.reward[t] * self.waits)
-            ends = self.waits & self.over[t].repeat(self.agents)
+            again = self.waits & self.acted[t]  # ripped up, the agent moves again
+            self.waiting.returns.add_(self.reward[t] * (self.waits & ~again))
+            ends = again | self.waits & self.over[t].repeat(self.agents)
             self.waits &= ~ends
             late = ends.nonzero()[:, 0]
             *parts, _ = (part.index_select(-1, late) for part in self.waiting)
@@ -387,7 +388,7 @@ class DevicePPO:
             "critic": flat(self.critic.parameters()).detach().cpu(),
             "moments": [{k: v.detach().cpu() for k, v in m.items()} for m in moments],
             "random": self.random.get_state().cpu(),
-            "waits": self.waits.cpu(),
+            "waits": self.waits.to("cpu", copy=True),
             "waiting": [part[..., self.waits].cpu() for part in self.waiting[:-1]],
             "updates": self.updates,
             "games": [as_rows(array) for array in env.save()],
@@ -407,11 +408,17 @@ class DevicePPO:
                 }
                 step = checked(kept["step"], torch.zeros(()), f"{where}: step")
                 self.adam.state[parameter] = {"step": step.to(self._adam_steps), **found}
-        self.waits = checked(state["waits"], self.waits.cpu(), f"{where}: waits").to(self.device)
-        for kept, part in zip(state["waiting"], self.waiting[:-1], strict=True):
+        self.waits.copy_(checked(state["waits"], self.waits.cpu(), f"{where}: waits"))
+        parts = {**self.waiting._asdict()}
+        del parts["game"]
+        for (name, part), kept in zip(parts.items(), state["waiting"], strict=True):
             now = part[..., self.waits].cpu()
-            part[..., self.waits] = checked(kept, now, f"{where}: waiting").to(self.device)
-        self.random.set_state(state["random"])
+            limits = (0.0, self.actions - 1.0) if name == "action" else FINITE
+            part[..., self.waits] = checked(kept, now, f"{where}: {name}", limits).to(self.device)
+        try:
+            self.random.set_state(state["random"])
+        except (RuntimeError, TypeError):
+            raise InputError(f"{where}: random: expected a generator's state") from None
         self.updates = int(state["updates"])
         env: Any = self.env
         name, games, now = f"{where}: games", state["games"], env.save()
