@@ -25,6 +25,7 @@ from marouting.game import NOBODY, Ending
 from marouting.player import Player, StepBuffers
 from marouting.problem.grid import MOVES
 from marouting.rules import TurnOrder
+from marouting.vector import BatchEnv
 from policies.learned.algorithms.dqn import DQN, DQNOptions
 from policies.learned.algorithms.fused_dqn import FusedDQN, obstacle
 from policies.learned.algorithms.ppo import PPO, PPOOptions, losses
@@ -558,13 +559,9 @@ def test_what_agents_are_paid_when_they_are_done_is_paid_for_their_last_move() -
 
     def add(acted: Any, paid: Any, done: Any, over: Any) -> PreStep:
         before, after = step_of(2, 2, rng)
-        after.acted[:], after.reward[:], after.terminated[:], after.over[:] = (
-            acted,
-            paid,
-            done,
-            over,
-        )
-        after.ending[:] = np.where(after.acted & after.terminated, Ending.JOINED, Ending.NONE)
+        after.acted[:], after.reward[:], after.over[:] = acted, paid, over
+        after.active[:] = ~np.array(done, bool)
+        after.ending[:] = np.where(after.acted & ~after.active, Ending.JOINED, Ending.NONE)
         rollout.add(before, after, nothing, value, nothing, None)
         return before
 
@@ -586,6 +583,35 @@ def test_what_agents_are_paid_when_they_are_done_is_paid_for_their_last_move() -
     assert rollout.stream[0, :2].tolist() == [0, 1]
     np.testing.assert_array_equal(rollout.obs[0, 0], first.obs[0, 0])
     assert rollout.advantages(np.array([0]), last, 1.0, 1.0)[0][0, :2].tolist() == [110, 198]
+
+
+@pytest.mark.parametrize(
+    "rip_up", [None, {"rounds": 2, "choose": "conflicts"}, {"rounds": 1, "choose": "agents"}]
+)
+def test_rollouts_hold_all_that_is_paid_once(rip_up: Any) -> None:
+    problems = [tiny(seed, nets=4) for seed in range(3)]
+    env = BatchEnv(problems, reward="team", max_steps=7, rip_up=rip_up)
+    rng = np.random.default_rng(0)
+    b, nothing = env._buffers, np.zeros((3, env.num_agents), np.float32)
+    shape = env.single_observation_space.shape
+    actions = int(env.single_action_space.n)
+    rollout = Rollout(1, 16, 3, env.num_agents, env.num_agents, actions, shape, late=True)
+    _, info = env.reset()
+    paid = held = 0.0
+    made = kept = 0
+    for _ in range(100):
+        before = PreStep(b.agents.copy(), b.obs.copy(), b.mask.copy())
+        mask = info["action_mask"]
+        *_, info = env.step((mask * rng.random(mask.shape)).argmax(-1))
+        paid, made = paid + float(b.reward.sum()), made + int(b.acted.sum())
+        rollout.add(before, b, nothing, nothing, nothing, None)
+        while len(full := rollout.full()):
+            held, kept = held + float(rollout.reward[0, :16].sum()), kept + 16
+            rollout.drop(full)
+    waiting = rollout.reward[0, rollout._waiting :][rollout.waits[0]]
+    left = rollout.reward[0, : rollout.count[0]]
+    assert held + float(left.sum() + waiting.sum()) == pytest.approx(paid)
+    assert kept + len(left) + len(waiting) == made
 
 
 def test_rollouts_are_shuffled_by_key_and_counter() -> None:

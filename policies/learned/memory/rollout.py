@@ -6,7 +6,8 @@ a network has a rollout's worth of transitions they are learned from; what has c
 with the same step is the start of the next rollout.
 
 Rewards may pay agents that are done. Then the last transition of an agent waits until its game is
-over, and everything that the agent is paid until then is part of that transition's reward.
+over, or the agent is ripped up and moves again. Everything that the agent is paid until then is
+part of that transition's reward.
 """
 
 from typing import Any, ClassVar
@@ -79,7 +80,8 @@ class Rollout(PerNetworkState):
     ) -> None:
         self.size, self.agents, self.scale, self.late = size, agents, scale, late
         self.streams = games * agents
-        self._waiting = size + games * rows
+        # A step brings transitions, and ends the waiting of others.
+        self._waiting = size + games * rows + self.streams * late
         each = networks, self._waiting + self.streams * late
         self.waits = np.zeros((networks, self.streams * late), np.bool_)
         self.obs = np.zeros((*each, *obs_shape), np.float32)
@@ -125,9 +127,8 @@ class Rollout(PerNetworkState):
         n, stream = m // games, m % games * self.agents + before.agents[m, k]
         waits = np.zeros(len(m), np.bool_)
         if self.late:
-            done = after.terminated | after.truncated
-            waits = (done & ~after.over[:, None])[m, k]
-            self._pay_late(after)
+            waits = (~after.active & ~after.over[:, None])[m, k]
+            self._pay_late(after, n, stream)
         at = np.empty(len(m), np.int64)
         at[waits], at[~waits] = self._waiting + stream[waits], self._places(n[~waits])
         self.obs[n, at], self.mask[n, at] = before.obs[m, k], before.mask[m, k]
@@ -147,12 +148,21 @@ class Rollout(PerNetworkState):
         self.count += np.bincount(n, minlength=len(self.count))
         return at
 
-    def _pay_late(self, after: StepBuffers) -> None:
-        """Pays the transitions that wait; those of games that are over wait no longer."""
+    def _pay_late(
+        self, after: StepBuffers, moved: NDArray[np.int64], streams: NDArray[np.int64]
+    ) -> None:
+        """Pays the transitions that wait; those of games that are over wait no longer.
+
+        Nor do those of agents that have moved again: of networks ``moved`` (B,) and ``streams``
+        (B,).
+        """
         networks = len(self.count)
+        again = np.zeros_like(self.waits)
+        again[moved, streams] = True
         paid = self.scale * after.reward.astype(np.float64).reshape(networks, -1)
-        self.reward[:, self._waiting :] += np.where(self.waits, paid, 0)
-        over = np.repeat(after.over, self.agents).reshape(networks, -1) & self.waits
+        self.reward[:, self._waiting :] += np.where(self.waits & ~again, paid, 0)
+        over = np.repeat(after.over, self.agents).reshape(networks, -1)
+        over = (over | again) & self.waits
         n, stream = np.nonzero(over)
         at = self._places(n)
         for name in self.rows[:-2]:
