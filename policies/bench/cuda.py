@@ -399,8 +399,12 @@ def main(out: Path | None, seconds: float, sections: str, games: str) -> None:
 
     def measure(section: str) -> None:
         if section == "equality":
-            for options, differs in zip(CASES, found, strict=True):
-                done(section, {"options": dict(options), "differs": differs.result()})
+            problems = marouting.generate(64, nets=8, max_pins=3, grid=(6, 6, 2), capacity=2)
+            # Each compiles for a minute.
+            with ProcessPoolExecutor(len(CASES), get_context("spawn")) as pool:
+                found = [pool.submit(compare, problems, 100, **options) for options in CASES]
+                for options, differs in zip(CASES, found, strict=True):
+                    done(section, {"options": dict(options), "differs": differs.result()})
         elif section == "learning":
             for learner, count, share, steps in TRAININGS:
                 for row in learning(learner, count, share * seconds, steps):
@@ -413,10 +417,6 @@ def main(out: Path | None, seconds: float, sections: str, games: str) -> None:
             for count in numbers:
                 done(section, speed(count, seconds, **options))
 
-    pool = ProcessPoolExecutor(len(CASES), get_context("spawn"))  # each compiles for a minute
-    problems = marouting.generate(64, nets=8, max_pins=3, grid=(6, 6, 2), capacity=2)
-    wanted = CASES if "equality" in names else ()
-    found = [pool.submit(compare, problems, 100, **options) for options in wanted]
     for name in names:
         try:
             measure(name)

@@ -409,7 +409,7 @@ class DevicePPO:
                 step = checked(kept["step"], torch.zeros(()), f"{where}: step")
                 self.adam.state[parameter] = {"step": step.to(self._adam_steps), **found}
         self.waits.copy_(checked(state["waits"], self.waits.cpu(), f"{where}: waits"))
-        parts = {**self.waiting._asdict()}
+        parts = self.waiting._asdict()
         del parts["game"]
         for (name, part), kept in zip(parts.items(), state["waiting"], strict=True):
             now = part[..., self.waits].cpu()
