@@ -19,7 +19,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 LONGEST = "one_game docs pathfinder run faults training fuzz game scenarios window optimal kills"
 """Files of tests that take longest: they come first, so that none is left alone at the end."""
 
-PER_COMMIT = 25
+PER_COMMIT = 15
 """Examples of a test that does not say how many; with -m slow there are many times more."""
 
 
@@ -30,7 +30,7 @@ def examples(number: int) -> Any:
 
 def pytest_configure(config: pytest.Config) -> None:
     """Sets how many examples tests have; compiles what test processes share before they start."""
-    for name, number in (("commit", PER_COMMIT), ("slow", 12 * PER_COMMIT)):
+    for name, number in (("commit", PER_COMMIT), ("slow", 20 * PER_COMMIT)):
         settings.register_profile(
             name,
             deadline=None,

@@ -574,20 +574,20 @@ def all_trained() -> None:
 
 KINDS: dict[str, Kind] = {
     **{
-        f"problem, {format}": Kind(functools.partial(problems, format=format), 50, 20_000)
+        f"problem, {format}": Kind(functools.partial(problems, format=format), 25, 20_000)
         for format in PROBLEMS
     },
-    "problem, LEF/DEF": Kind(designs, 50, 5_000),
+    "problem, LEF/DEF": Kind(designs, 25, 5_000),
     **{
-        f"problem, {contest}": Kind(functools.partial(contests, files=files), 50, 5_000)
+        f"problem, {contest}": Kind(functools.partial(contests, files=files), 25, 5_000)
         for contest, files in (("ispd2024", (CAP, NET, ROUTES)), ("ispd2025", ISPD2025))
     },
-    "problem, compressed": Kind(compressed, 50, 5_000),
-    "solution": Kind(solutions, 50, 20_000),
-    "guide": Kind(guides, 50, 5_000),
-    "segments": Kind(segments, 50, 5_000),
-    "configuration of a training": Kind(trainings, 15, 10_000),
-    "configuration of an experiment": Kind(experiments, 20, 4_000),
+    "problem, compressed": Kind(compressed, 25, 5_000),
+    "solution": Kind(solutions, 25, 20_000),
+    "guide": Kind(guides, 25, 5_000),
+    "segments": Kind(segments, 25, 5_000),
+    "configuration of a training": Kind(trainings, 8, 10_000),
+    "configuration of an experiment": Kind(experiments, 10, 4_000),
     "overrides": Kind(overrides, 15, 10_000),
     **{
         f"rows of {kind}": Kind(functools.partial(rows, kind=kind, kinds=READ), 30, 5_000)
@@ -597,10 +597,10 @@ KINDS: dict[str, Kind] = {
         f"figures of {kind}": Kind(functools.partial(rows, kind=kind, kinds=DRAWN), 10, 200)
         for kind in DRAWN
     },
-    "checkpoint": Kind(checkpoints, 15, 3_000, all_trained),
-    "policy": Kind(policies, 20, 2_000, all_trained),
-    "training": Kind(started_anew, 15, 2_000, all_trained),
-    "run folder": Kind(run_folders, 10, 1_000, all_trained),
+    "checkpoint": Kind(checkpoints, 8, 3_000, all_trained),
+    "policy": Kind(policies, 10, 2_000, all_trained),
+    "training": Kind(started_anew, 6, 2_000, all_trained),
+    "run folder": Kind(run_folders, 6, 1_000, all_trained),
     "result of a benchmark": Kind(benchmarks, 30, 5_000),
     "experiment folder": Kind(experiment_folders, 4, 200, compared),
 }

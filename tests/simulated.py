@@ -12,15 +12,16 @@ import marouting
 from marouting.cuda import env, games
 from marouting.vector import BatchEnv
 from policies.bench.cuda import CASES, WINDOW, compare, difference, on_host
+from policies.learned import device_trainer
 from policies.learned.config import load_config
 from policies.learned.device_trainer import DeviceTrainer
 from policies.learned.run import problems_of
 
 
-def play(first: int, last: int) -> None:
-    """Compares games by some cases of options; prints one line for each."""
+def play() -> None:
+    """Compares games by all cases of options; prints one line for each."""
     problems = marouting.generate(2, nets=4, max_pins=3, grid=(4, 4, 2), capacity=1, seed=1)
-    for options in CASES[first:last]:
+    for options in CASES:
         print(compare(problems, 16, **options))
 
 
@@ -135,11 +136,13 @@ def check() -> None:
 def trainer() -> DeviceTrainer:
     """A small training on the device."""
     changes = [
-        "learner.kind=mappo", "env.scenario=gates-8x7-v0", "train.device=cuda", "train.games=2",
-        "train.problems=3", "train.validation=1", "train.steps=100000",
-        "train.evaluate_every=100000", "learner.network.hidden=[8]", "learner.rollout=16",
-        "learner.minibatch=16",
+        "learner.kind=mappo", "env.scenario=toy-4x4-v0", "env.agents=multi", "env.reward=team",
+        "env.observation.kind=window", "env.observation.channels=[capacity,own,heads]",
+        "env.observation.radius=1", "train.device=cuda", "train.games=2", "train.problems=3",
+        "train.validation=1", "train.steps=100000", "train.evaluate_every=100000",
+        "learner.network.hidden=[8]", "learner.rollout=16", "learner.minibatch=16",
     ]  # fmt: skip
+    device_trainer.STEPS = 8
     config = load_config(None, changes)
     problems, episodes = problems_of(config)
     assert episodes is not None
@@ -172,7 +175,6 @@ if __name__ == "__main__":
     if os.environ.get("NUMBA_ENABLE_CUDASIM") == "1":
         # So many threads clear a game together; in the simulator each is a thread of Python's.
         games.WARP = env.WARP = 3  # type: ignore[attr-defined]
-    if sys.argv[1] == "play":
-        play(*map(int, sys.argv[2:]))
-    else:
-        {"check": check, "draw": draw, "resume": resume}[sys.argv[1]]()
+    for name in sys.argv[1:]:
+        print(f"== {name}")
+        {"play": play, "check": check, "draw": draw, "resume": resume}[name]()

@@ -20,6 +20,8 @@ from marouting.config import build
 from marouting.cuda.env import _narrow, _without_vias
 from marouting.options import game_options
 from marouting.vector import BatchEnv
+from policies.bench.cuda import CASES
+from policies.cli.main import status
 from policies.learned.algorithms.ppo import PPOOptions
 from policies.learned.config import load_config
 from policies.learned.device_trainer import on_device
@@ -27,51 +29,57 @@ from policies.learned.on_device import DevicePPO
 from policies.learned.run import problems_of, trainer_of
 
 SIMULATED = Path(__file__).with_name("simulated.py")
-CASES = 14
 
 
-def simulate(*arguments: str, simulator: bool = True) -> list[str]:
-    """The lines that tests/simulated.py prints in the simulator, or on a real device."""
+def simulate(*names: str, simulator: bool = True) -> dict[str, list[str]]:
+    """The lines that parts of tests/simulated.py print in the simulator, or on a real device."""
     settings = {
         **os.environ, "NUMBA_ENABLE_CUDASIM": str(int(simulator)), "PYTHONWARNINGS": "ignore",
     }  # fmt: skip
     run = subprocess.run(
-        [sys.executable, str(SIMULATED), *arguments],
+        [sys.executable, str(SIMULATED), *names],
         env=settings, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert run.returncode == 0, run.stderr[-2000:]
-    return run.stdout.split("\n")[:-1]
+    parts = run.stdout.split("== ")[1:]
+    return {name: lines for name, *lines in (part.split("\n")[:-1] for part in parts)}
 
 
-@pytest.mark.parametrize("first", range(0, CASES, 7))
-def test_a_device_plays_the_same_games_as_the_processor(first: int) -> None:
-    last = min(first + 7, CASES)
-    assert simulate("play", str(first), str(last)) == ["None"] * (last - first)
+@pytest.fixture(
+    scope="module",
+    params=[True, pytest.param(False, marks=pytest.mark.gpu)],
+    ids=["simulator", "real"],
+)
+def printed(request: pytest.FixtureRequest) -> dict[str, list[str]]:
+    """What tests/simulated.py prints, by its parts."""
+    return simulate("play", "resume", "draw", "check", simulator=request.param)
 
 
-def test_a_training_on_a_device_goes_on_from_its_checkpoint() -> None:
-    *same, steps = simulate("resume")
+def test_a_device_plays_the_same_games_as_the_processor(printed: dict[str, list[str]]) -> None:
+    assert printed["play"] == ["None"] * len(CASES)
+
+
+def test_a_training_on_a_device_goes_on_from_its_checkpoint(printed: dict[str, list[str]]) -> None:
+    *same, steps = printed["resume"]
     assert same == ["True"] * 3
     assert len(set(steps.split())) == 1
     assert int(steps.split()[0]) > 0
 
 
-SIMULATOR = pytest.param(True, id="simulator")
-REAL = pytest.param(False, id="real", marks=pytest.mark.gpu)
-
-
-@pytest.mark.parametrize("simulator", [SIMULATOR, REAL])
-def test_games_draw_their_problems_anew_and_leave_nothing_of_the_last(simulator: bool) -> None:
-    differs, counts = simulate("draw", simulator=simulator)
+def test_games_draw_their_problems_anew_and_leave_nothing_of_the_last(
+    printed: dict[str, list[str]],
+) -> None:
+    differs, counts = printed["draw"]
     assert differs == "None"
     episodes, problems = map(int, counts.split())
     assert episodes >= 6
     assert problems > 2  # of two games
 
 
-@pytest.mark.parametrize("simulator", [SIMULATOR, REAL])
-def test_what_cannot_be_used_is_told_and_scenarios_order_turns(simulator: bool) -> None:
-    assert simulate("check", simulator=simulator) == [
+def test_what_cannot_be_used_is_told_and_scenarios_order_turns(
+    printed: dict[str, list[str]],
+) -> None:
+    assert printed["check"] == [
         "actions: expected 0 to 5, or -1, found others",  # at the next reset
         "actions: expected integers of shape (1, 3), found float64 of shape (1, 3)",
         "actions: expected integers of shape (1, 3), found float64 of shape (1, 3)",
@@ -103,11 +111,10 @@ def test_games_are_on_the_first_device_alone() -> None:
 
 @pytest.mark.gpu
 def test_a_real_device_plays_the_same_games() -> None:
-    from policies.bench.cuda import CASES as cases
     from policies.bench.cuda import compare
 
     problems = marouting.generate(64, nets=8, max_pins=3, grid=(6, 6, 2), capacity=2)
-    assert [compare(problems, 100, **options) for options in cases] == [None] * len(cases)
+    assert [compare(problems, 100, **options) for options in CASES] == [None] * len(CASES)
 
 
 @pytest.mark.slow
@@ -122,7 +129,6 @@ def test_all_kernels_compile_for_a_device(
     from numba.cuda.typing.typeof import typeof
 
     import marouting.cuda.games as device
-    from policies.bench.cuda import CASES as cases
 
     class Array(np.ndarray):
         def copy_to_device(self, other: Any) -> None:
@@ -158,7 +164,7 @@ def test_all_kernels_compile_for_a_device(
     }.items():
         monkeypatch.setattr(device.Device, name, method)
     problems = marouting.generate(3, nets=4, reduced_edges=0)
-    for options in (cases[0], cases[10], cases[11]):
+    for options in (CASES[0], CASES[10], CASES[11]):
         env: Any = BatchEnv(3, problem=problems, device="cuda", **options)
         env._launch(0, steps=True, restarts=True)
         env.state()
@@ -185,17 +191,15 @@ def test_what_a_device_cannot_do_is_refused_in_one_line() -> None:
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a device")
-def test_without_a_device_a_command_says_so(tmp_path: Path) -> None:
+def test_without_a_device_a_command_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(marouting.InputError, match=r"^device: expected .*found "):
         BatchEnv(marouting.generate(1, nets=3, reduced_edges=0), device="cuda")
     changes = ["learner.kind=ippo", "env.scenario=gates-8x7-v0", "train.device=cuda"]
-    run = subprocess.run(
-        [sys.executable, "-m", "marouting", "train", *changes, f"out={tmp_path / 'run'}"],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert run.returncode == 2
-    assert "device: expected" in run.stderr
-    assert "Traceback" not in run.stderr
+    assert status(["train", *changes, f"out={tmp_path / 'run'}"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "device: expected" in line
     assert not (tmp_path / "run").exists()
 
 

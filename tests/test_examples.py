@@ -20,6 +20,7 @@ from marouting.scenarios.references import path_of
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "docs" / "examples"
 NAMES = sorted(file.stem for file in EXAMPLES.glob("*.py"))
+LONG = ("own_algorithm", "own_network")
 
 
 def python(*arguments: str | Path, cwd: Path, path: Path) -> str:
@@ -129,7 +130,10 @@ def check_own_algorithm(out: str) -> None:
 
 
 @pytest.mark.usefixtures("at_once")
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.slow if name in LONG else []) for name in NAMES],
+)
 def test_an_example_does_what_it_says(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -39,7 +39,7 @@ COMMANDS = {
     "train": ["train", "../training.yaml", "out=out"],
     "experiment": ["experiment", "../experiment.yaml", "out=out"],
 }
-_LONG = {"plot", "experiment"}
+_LONG = {"plot", "train", "experiment"}
 
 _SCRIPT = """
 import contextlib, errno, io, json, os, shutil, sys
@@ -175,13 +175,13 @@ for size in map(int, sys.argv[1:]):
 """
 
 
+@pytest.mark.parametrize("sizes", [(1000, 20000), pytest.param((40, 3000), marks=pytest.mark.slow)])
 def test_a_training_on_a_disk_that_fills_up(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    sizes: tuple[int, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     training = {**TRAINING, "train": {**TRAINING["train"], "tensorboard": True}}  # type: ignore[dict-item]
     Path("training.yaml").write_text(json.dumps(training))
-    sizes = 40, 1000, 3000, 20000
     done = subprocess.run(
         [sys.executable, "-c", _FULL, *map(str, sizes)],
         capture_output=True, text=True, timeout=100, check=True,

@@ -21,8 +21,11 @@ from marouting.batch.state import Option
 from marouting.game import NOBODY, Game, Status
 from marouting.rules import Mask, Nets, RipUp, Rules
 
-SEEDS = range(40)
-MANY = range(40, 1500)
+FIRST = (0, 1, 4, 5, 10, 18)
+"""These games notice all planted errors between them."""
+
+SEEDS = (*FIRST, *(seed for seed in range(24) if seed not in FIRST))
+MANY = range(24, 1500)
 
 
 def random_problem(rng: np.random.Generator) -> Problem:

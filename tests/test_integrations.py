@@ -614,10 +614,8 @@ def test_a_recipe_joins_the_nets(run: str) -> None:
     assert float(seconds) <= 180
 
 
-@pytest.mark.parametrize(
-    "run",
-    [pytest.param(run, marks=[] if RUNS[run] == "torch" else pytest.mark.slow) for run in RUNS],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("run", RUNS)
 def test_a_recipe_fails_where_too_few_nets_are_joined(run: str) -> None:
     if importlib.util.find_spec(RUNS[run]) is None:
         pytest.skip(f"{RUNS[run]} is not installed")

@@ -231,7 +231,7 @@ def test_figures_stay_in_their_folder(here: Path, run: Callable[..., tuple[int, 
 @pytest.mark.parametrize(
     "terminal",
     [
-        {"PYTHONIOENCODING": "ascii"},
+        pytest.param({"PYTHONIOENCODING": "ascii"}, marks=pytest.mark.slow),
         {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONIOENCODING": "ascii"},
     ],
     ids=["output", "everything"],

@@ -404,7 +404,9 @@ def test_competing_nets_of_different_widths(seed: int) -> None:
 
 
 @pytest.mark.parametrize("factor", [1000, 10**6])
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize(
+    "seed", [pytest.param(seed, marks=pytest.mark.slow if seed > 1 else []) for seed in range(6)]
+)
 def test_large_numbers_do_not_lead_to_false_proofs(seed: int, factor: int) -> None:
     """With numbers this large the solver's tolerances amount to whole tracks."""
     small = crowded(seed)

@@ -626,6 +626,7 @@ def test_a_training_begins_with_networks_of_another(
     Run(config, resume=True).execute()  # the checkpoint has all
 
 
+@pytest.mark.slow  # compiles what the generalist sees
 def test_a_training_begins_with_the_weights_that_are_shipped(tmp_path: Path) -> None:
     network = {"kind": "mlp", "hidden": [160, 128]}
     options: dict[str, Any] = {"observation": "outlook", "network": network, "burn_in_size": 10}
@@ -722,12 +723,15 @@ KINDS: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("options", KINDS.values(), ids=KINDS)
+@pytest.mark.parametrize(
+    "kind",
+    [pytest.param(k, marks=pytest.mark.slow if k == "drawn, torch" else []) for k in KINDS],
+)
 def test_a_run_killed_anywhere_goes_on_as_if_not(
-    options: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole, folder = tmp_path / "whole", tmp_path / "killed"
-    options = {"episodes": 8, **options}
+    options = {"episodes": 8, **KINDS[kind]}
     Run(config_in(whole, **options)).execute()
     write = Logs.write
     left = 0
@@ -945,7 +949,7 @@ def stopped(process: subprocess.Popen[str], ready: Callable[[], bool], number: i
     return process.returncode
 
 
-LONG = 1500  # episodes: some seconds after the first is logged
+LONG = 800  # episodes: some seconds after the first is logged
 
 
 @pytest.fixture(scope="module")

@@ -91,6 +91,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_pages_load_nothing_from_elsewhere(site: Path) -> None:
     pages = list(site.rglob("*.html"))
     assert len(pages) > 40
@@ -105,6 +106,7 @@ def test_pages_load_nothing_from_elsewhere(site: Path) -> None:
         assert not re.search(r"(@import|url\()\s*[\"']?(https?:)?//", text), sheet
 
 
+@pytest.mark.slow
 def test_nothing_of_the_markdown_is_left(site: Path) -> None:
     for page in site.rglob("*.html"):
         text = page.read_text(encoding="utf-8")
@@ -114,6 +116,7 @@ def test_nothing_of_the_markdown_is_left(site: Path) -> None:
         assert not found, f"{page}: {shown[found.start() - 50 : found.end() + 50]}"
 
 
+@pytest.mark.slow
 def test_pages_show_what_they_should(site: Path) -> None:
     texts = {
         name: re.sub(r"\s+", " ", re.sub(r"<[^>]+>", "", (site / name).read_text(encoding="utf-8")))

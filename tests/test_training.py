@@ -821,6 +821,8 @@ def test_every_learner_goes_on_from_a_state(kind: str, agents: str, shared: bool
     goes_on({"p": tiny(), "q": tiny(1, nets=2)}, kind_config(kind, agents, shared), 5)
 
 
+SLOW = pytest.mark.slow  # these compile a game of their own
+
 GAMES: dict[str, dict[str, Any]] = {
     "trees": {"agents": "multi", "target": "tree", "mask": {"visited": True}},
     "window": {"turn_order": "round_robin", "observation": "window"},
@@ -829,12 +831,14 @@ GAMES: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("env", GAMES.values(), ids=GAMES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=SLOW if name == "trees" else []) for name in GAMES]
+)
 @pytest.mark.usefixtures("few_steps")
-def test_all_games_go_on_within_their_episodes(env: dict[str, Any]) -> None:
+def test_all_games_go_on_within_their_episodes(name: str) -> None:
     problems = {"p": tiny(nets=4, max_pins=3), "q": tiny(1, max_pins=3)}
     learner = {"burn_in_size": 100, "buffer_size": 5000, "network": {"hidden": [8]}}
-    given = {"env": {"max_steps": 12, **env}, "learner": learner, "train": {"episodes": 6}}
+    given = {"env": {"max_steps": 12, **GAMES[name]}, "learner": learner, "train": {"episodes": 6}}
     goes_on(problems, build(Config, given), 4)
 
 
