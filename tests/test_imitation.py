@@ -76,7 +76,7 @@ PRICED: dict[str, Any] = {
 }
 
 
-@pytest.mark.parametrize("more", [{}, PRICED])
+@pytest.mark.parametrize("more", [pytest.param({}, marks=pytest.mark.slow), PRICED])
 def test_it_goes_on_from_a_state(more: dict[str, Any]) -> None:
     whole = trainer(config(**more))
     expected = finish(whole)
@@ -95,6 +95,7 @@ def test_it_goes_on_from_a_state(more: dict[str, Any]) -> None:
     assert whole.learner.updates[0] > 50
 
 
+@pytest.mark.slow
 def test_what_it_learns_routes_larger_problems(tmp_path: Path) -> None:
     """Better than without learning, on problems of another size than it was trained on."""
     train = {"episodes": 240, "evaluate_every": 80, "figures": False, "tensorboard": False}

@@ -593,10 +593,8 @@ RUNS = {
 }
 
 
-@pytest.mark.parametrize(
-    "run",
-    [pytest.param(run, marks=[] if RUNS[run] == "torch" else pytest.mark.slow) for run in RUNS],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("run", RUNS)
 def test_a_recipe_joins_the_nets(run: str) -> None:
     if importlib.util.find_spec(RUNS[run]) is None:
         pytest.skip(f"{RUNS[run]} is not installed")

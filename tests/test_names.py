@@ -271,6 +271,7 @@ def test_a_terminal_with_ascii(terminal: dict[str, str], here: Path) -> None:
         assert code == 0 or len(lines.splitlines()) == 1, lines
 
 
+@pytest.mark.slow
 def test_paths_that_are_not_utf8(here: Path, run: Callable[..., tuple[int, str, str]]) -> None:
     bad = os.fsdecode(b"b\xff")
     try:

@@ -723,9 +723,12 @@ KINDS: dict[str, dict[str, Any]] = {
 }
 
 
+LONG_KINDS = ("torch, all switches", "ppo, central", "drawn, torch")
+
+
 @pytest.mark.parametrize(
     "kind",
-    [pytest.param(k, marks=pytest.mark.slow if k == "drawn, torch" else []) for k in KINDS],
+    [pytest.param(kind, marks=pytest.mark.slow if kind in LONG_KINDS else []) for kind in KINDS],
 )
 def test_a_run_killed_anywhere_goes_on_as_if_not(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
