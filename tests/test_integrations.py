@@ -543,6 +543,40 @@ def test_value_decomposition_makes_a_row(algorithm: str, tmp_path: Path) -> None
         assert found["cost"] < evaluate_policy(at_random, "gates-8x7-v0", split).cost - 0.5
 
 
+def test_value_decomposition_goes_on_from_its_state(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("benchmarl")
+    from policies.integrations import value_decomposition
+
+    steps = 20_000
+    more = {"off_policy_n_optimizer_steps": 3}
+    whole = value_decomposition.train("qmix", "gates-8x7-v0", steps, 0, tmp_path / "whole", **more)
+    count = value_decomposition._Steps.on_batch_collected
+    left = 4
+
+    def killed(self: Any, batch: Any) -> None:
+        nonlocal left
+        left -= 1
+        if left == 0:
+            raise RuntimeError("killed")
+        count(self, batch)
+
+    again = tmp_path / "again"
+    monkeypatch.setattr(value_decomposition._Steps, "on_batch_collected", killed)
+    with pytest.raises(RuntimeError, match="killed"):
+        value_decomposition.train("qmix", "gates-8x7-v0", steps, 0, again, every=0, **more)
+    monkeypatch.undo()
+    assert (tmp_path / "again.state.pt").exists()
+    with pytest.raises(InputError, match=r"again.state.pt: expected the state of .*vdn"):
+        value_decomposition.train("vdn", "gates-8x7-v0", steps, 0, again, **more)
+    row = value_decomposition.train("qmix", "gates-8x7-v0", steps, 0, again, **more)
+    assert not (tmp_path / "again.state.pt").exists()
+    assert {path.name for path in tmp_path.iterdir()} == {"whole", "again"}
+    for key in ("agent_steps", "curve", "validation", "test"):
+        assert row[key] == whole[key]
+
+
 # Tianshou -----------------------------------------------------------------------------------------
 
 
