@@ -300,8 +300,10 @@ def short(kind: str = "dqn", agents: str = "single") -> Config:
     return build(Config, raw)
 
 
-@pytest.mark.parametrize("agents", ["single", "multi"])
-@pytest.mark.parametrize("kind", LEARNERS)
+@pytest.mark.parametrize(
+    ("kind", "agents"),
+    [("dqn", "single"), ("dqn", "multi"), ("dqn, torch", "multi"), ("ppo", "multi")],
+)
 def test_learned_router_gives_the_best_episode_of_a_training(kind: str, agents: str) -> None:
     problem = problem_of(3)
     config = short(kind, agents)

@@ -4,6 +4,7 @@ import base64
 import html
 import importlib.resources
 import json
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -50,12 +51,8 @@ def page(problem: Problem, solutions: Mapping[str, Solution], title: str = "") -
         "plotly": get_plotlyjs().replace("</script", r"<\/script"),
     }
     template = importlib.resources.files("policies.figures").joinpath("view.html")
-    first, *rest = template.read_text(encoding="utf-8").split("{{")
-    texts = [first]
-    for piece in rest:  # split before anything is put in: names may contain any text
-        name, _, text = piece.partition("}}")
-        texts += [parts[name], text]
-    return "".join(texts)
+    # All at once: names may contain any text.
+    return re.sub(r"{{(\w+)}}", lambda place: parts[place[1]], template.read_text(encoding="utf-8"))
 
 
 def page_data(problem: Problem, solutions: Mapping[str, Solution], title: str) -> dict[str, Any]:
