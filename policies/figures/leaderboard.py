@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter
 
 from policies.figures.style import BLUE, INK, LINES, PALE, literal
 
@@ -71,7 +72,9 @@ def learning_curves(
         )
     for height in (0, 1):
         axes.axhline(height, color=INK, linewidth=1, linestyle="--")
-    if not policies:
+    if policies:
+        axes.xaxis.set_major_formatter(EngFormatter(sep="\N{NO-BREAK SPACE}"))
+    else:
         axes.set_xscale("log")
     axes.grid(color=PALE, linewidth=0.6)
     axes.set_axisbelow(True)
