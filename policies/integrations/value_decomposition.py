@@ -31,7 +31,7 @@ evaluation on the validation problems after every twentieth of the steps gives t
 the last network is kept.
 
 Every ten minutes the whole training is written beside ``--out``, as ``qmix-0.state.pt`` beside
-``qmix-0``, with the moves that it learns from (0.6 GB) and its games. The same command goes on from
+``qmix-0``, with the moves that it learns from (0.6 to 1 GB) and its games. The same command goes on from
 there, to the same result, and removes the file at the end. To load it runs the code that it holds.
 """
 
