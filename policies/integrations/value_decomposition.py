@@ -30,9 +30,10 @@ mean number of nets. No value was chosen by results. All else is as BenchMARL ha
 evaluation on the validation problems after every twentieth of the steps gives the learning curve;
 the last network is kept.
 
-Every ten minutes the whole training is written beside ``--out``, as ``qmix-0.state.pt`` beside
-``qmix-0``, with the moves that it learns from (0.6 to 1 GB) and its games. The same command goes on from
-there, to the same result, and removes the file at the end. To load it runs the code that it holds.
+Every ten minutes the whole training is written to a file beside ``--out``, ``qmix-0.state.pt``
+beside ``qmix-0``. With the moves that are learned from it has 0.6 to 1 GB. The same command goes on
+from there, to the same result, and removes the file at the end. Loading the file runs the code that
+it holds.
 """
 
 import contextlib
