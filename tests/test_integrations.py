@@ -567,11 +567,16 @@ def test_value_decomposition_goes_on_from_its_state(
     with pytest.raises(RuntimeError, match="killed"):
         value_decomposition.train("qmix", "gates-8x7-v0", steps, 0, again, every=0, **more)
     monkeypatch.undo()
-    assert (tmp_path / "again.state.pt").exists()
+    state = tmp_path / "again.state.pt"
+    kept = state.read_bytes()
+    state.write_bytes(kept[:1000])
+    with pytest.raises(InputError, match=r"again.state.pt: expected the state of .*qmix"):
+        value_decomposition.train("qmix", "gates-8x7-v0", steps, 0, again, **more)
+    state.write_bytes(kept)
     with pytest.raises(InputError, match=r"again.state.pt: expected the state of .*vdn"):
         value_decomposition.train("vdn", "gates-8x7-v0", steps, 0, again, **more)
     row = value_decomposition.train("qmix", "gates-8x7-v0", steps, 0, again, **more)
-    assert not (tmp_path / "again.state.pt").exists()
+    assert not state.exists()
     assert {path.name for path in tmp_path.iterdir()} == {"whole", "again"}
     for key in ("agent_steps", "curve", "validation", "test"):
         assert row[key] == whole[key]

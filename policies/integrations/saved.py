@@ -1,11 +1,16 @@
 """What is saved with a library's policy, so that it plays the game that it was trained in."""
 
+import os
 import time
 from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
-from marouting.config import plain
+import torch
+
+from marouting.config import check, plain
+from marouting.errors import InputError
+from marouting.files import unusable
 from marouting.options import ORDERS, PLAYED, GameOptions, game_options
 
 
@@ -33,3 +38,25 @@ class Training:
         seconds = round(time.process_time() - self._began, 1)
         training = {"agent_steps": self.agent_steps, "processor_seconds": seconds}
         return {"options": self.options, "training": training}
+
+
+def load(file: str | os.PathLike[str], keys: set[str], what: str) -> dict[str, Any]:
+    """What ``torch.save`` has written, by its keys. Loading it runs the code that it holds.
+
+    Args:
+        file: the file.
+        keys: those that it has at least.
+        what: what it is, in words, for errors.
+
+    Raises:
+        InputError: the file cannot be read, or is another one.
+    """
+    try:
+        kept = torch.load(file, map_location="cpu", weights_only=False)
+    except OSError as error:
+        raise unusable(file, "cannot be read", error) from None
+    except Exception as error:  # other files fail in the archive or in the unpickler
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(f"{file}: expected {what}: {reason[:120]}") from None
+    check(str(file), isinstance(kept, dict) and keys <= kept.keys(), what)
+    return dict(kept)

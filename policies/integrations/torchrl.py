@@ -24,11 +24,8 @@ from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from marouting.config import check
-from marouting.errors import InputError
-from marouting.files import unusable
 from marouting.vector import BatchEnv, Info
-from policies.integrations.saved import Training
+from policies.integrations.saved import Training, load
 
 GROUP = "nets"
 """The group of all agents."""
@@ -230,15 +227,7 @@ class Policy(GroupMoves):
 
     def __init__(self, file: str, teacher: bool | None = None) -> None:
         saved = "a policy that policies.integrations.torchrl.save has saved"
-        try:
-            kept = torch.load(file, map_location="cpu", weights_only=False)
-        except OSError as error:
-            raise unusable(file, "cannot be read", error) from None
-        except Exception as error:  # other files fail in the archive or in the unpickler
-            reason = (str(error).splitlines() or [type(error).__name__])[0]
-            raise InputError(f"{file}: expected {saved}: {reason[:120]}") from None
-        fits = isinstance(kept, dict) and {"policy", "agents", "options"} <= kept.keys()
-        check(file, fits, saved)
+        kept = load(file, {"policy", "agents", "options"}, saved)
         super().__init__(kept["policy"], kept["agents"])
         self.options, self.training = kept["options"], {**kept["training"], "teacher": teacher}
         self.obs_shape = kept["obs_shape"]

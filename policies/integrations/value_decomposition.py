@@ -59,6 +59,7 @@ from marouting.config import build_json, check
 from marouting.files import read_text, write_text, writing
 from policies.command import Command
 from policies.integrations.benchmarl import ROW, Moves, RoutingClass
+from policies.integrations.saved import load
 from policies.integrations.torchrl import GROUP
 
 REWARD = {"kind": "team", "overflow": 1.0, "open": 1.0, "wirelength": 0.05}
@@ -127,8 +128,9 @@ class _Resumable(Experiment):
         self._wrote, self._began = time.monotonic(), time.process_time()
         self._kept: dict[str, Any] | None = None
         if file.exists():
-            self._kept = torch.load(file, map_location="cpu", weights_only=False)
-            check(str(file), self._kept["asked"] == asked, f"the state of {asked}")
+            what = f"the state of {asked}"
+            self._kept = load(file, {"asked", "seconds"}, what)
+            check(str(file), self._kept["asked"] == asked, what)
             self._began -= self._kept["seconds"]
         super().__init__(callbacks=[counter], **options)
 
@@ -141,6 +143,7 @@ class _Resumable(Experiment):
         """Trains, from the state that was written if there is one."""
         if (kept := self._kept) is not None:
             self.load_state_dict(kept["experiment"])
+            self.replay_buffers[GROUP].load_state_dict(kept["memory"])
             for name, adam in self.optimizers[GROUP].items():
                 adam.load_state_dict(kept["optimizers"][name])
             self.collector.env.base_env.batch = pickle.loads(kept["batch"])
@@ -156,12 +159,10 @@ class _Resumable(Experiment):
         """Writes the state if it is time: BenchMARL asks after every iteration."""
         if time.monotonic() < self._wrote + self._every:
             return
-        self.config.exclude_buffer_from_checkpoint = False
-        experiment = self.state_dict()
-        self.config.exclude_buffer_from_checkpoint = True
         state = {
             "asked": self._asked,
-            "experiment": experiment,
+            "experiment": self.state_dict(),
+            "memory": self.replay_buffers[GROUP].state_dict(),
             "optimizers": {n: adam.state_dict() for n, adam in self.optimizers[GROUP].items()},
             "batch": pickle.dumps(self.collector.env.base_env.batch),
             "carrier": self.collector._carrier,
