@@ -4,7 +4,7 @@ import gc
 import os
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,11 @@ PER_COMMIT = 15
 def examples(number: int) -> Any:
     """A test has so many examples; with -m slow more, in the same proportion as others."""
     return settings(max_examples=number * settings.default.max_examples // PER_COMMIT)
+
+
+def some_slow(values: Iterable[Any], slow: Container[Any]) -> list[Any]:
+    """Parameters of a test, of which some run only with -m slow."""
+    return [pytest.param(v, marks=pytest.mark.slow if v in slow else []) for v in values]
 
 
 def pytest_configure(config: pytest.Config) -> None:

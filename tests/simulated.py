@@ -138,9 +138,10 @@ def trainer() -> DeviceTrainer:
     changes = [
         "learner.kind=mappo", "env.scenario=toy-4x4-v0", "env.agents=multi", "env.reward=team",
         "env.observation.kind=window", "env.observation.channels=[capacity,own,heads]",
-        "env.observation.radius=1", "train.device=cuda", "train.games=2", "train.problems=3",
-        "train.validation=1", "train.steps=100000", "train.evaluate_every=100000",
-        "learner.network.hidden=[8]", "learner.rollout=16", "learner.minibatch=16",
+        "env.observation.radius=1", "env.max_steps=4", "train.device=cuda", "train.games=2",
+        "train.problems=3", "train.validation=1", "train.steps=100000",
+        "train.evaluate_every=100000", "learner.network.hidden=[8]", "learner.rollout=16",
+        "learner.minibatch=16",
     ]  # fmt: skip
     device_trainer.STEPS = 8
     config = load_config(None, changes)
@@ -168,6 +169,7 @@ def resume() -> None:
     seen = difference(*told)
     print(seen is None)
     print(int(found["trainer"]["steps"]), int(expected["trainer"]["steps"]))
+    print(int(found["trainer"]["episodes"]), int(expected["trainer"]["episodes"]))
 
 
 if __name__ == "__main__":

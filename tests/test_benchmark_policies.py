@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 import torch
-from conftest import in_this_process
+from conftest import in_this_process, some_slow
 from scipy import stats
 
 from marouting import InputError, evaluate_policy, scenarios
@@ -155,16 +155,10 @@ def test_figures_are_those_of_train_and_of_evaluate_policy(
     assert "--name again --training-steps 2500 --seeds 2" in result.command
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        GATES,
-        *(
-            pytest.param(name, marks=pytest.mark.slow)
-            for name in ("braess-v0", "online-8x8-v0", "multi-pin-once-8x8-v0")
-        ),
-    ],
-)
+OTHERS = ("braess-v0", "online-8x8-v0", "multi-pin-once-8x8-v0")
+
+
+@pytest.mark.parametrize("name", some_slow((GATES, *OTHERS), OTHERS))
 def test_rules_have_the_costs_of_the_price_of_anarchy(
     name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -190,7 +184,7 @@ def test_rules_have_the_costs_of_the_price_of_anarchy(
             expected = next(of for of in stored if of.split == "test" and of.router == rule)
             assert shown["cost"] == pytest.approx(expected.cost, abs=1e-4)
             assert shown["sight"] == sight
-        planner = row_of(capsys, "--router", "optimal", "--name", "optimal", split="validation")
+        planner = row_of(capsys, "--router", "optimal", "--name", "optimal")
         assert planner["sight"] == "planner"
         assert planner["cost"] == planner["score"]["mean"] == 1
         # Overflow costs as much as an open task: A* crosses full edges.

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 import wheels
+from conftest import some_slow
 
 import marouting
 from marouting import registry
@@ -130,10 +131,7 @@ def check_own_algorithm(out: str) -> None:
 
 
 @pytest.mark.usefixtures("at_once")
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=pytest.mark.slow if name in LONG else []) for name in NAMES],
-)
+@pytest.mark.parametrize("name", some_slow(NAMES, LONG))
 def test_an_example_does_what_it_says(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from conftest import some_slow
 
 from marouting import generate
 from marouting.files import TEMPORARY
@@ -175,7 +176,7 @@ for size in map(int, sys.argv[1:]):
 """
 
 
-@pytest.mark.parametrize("sizes", [(1000, 20000), pytest.param((40, 3000), marks=pytest.mark.slow)])
+@pytest.mark.parametrize("sizes", some_slow([(1000, 20000), (40, 3000)], [(40, 3000)]))
 def test_a_training_on_a_disk_that_fills_up(
     sizes: tuple[int, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

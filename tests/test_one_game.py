@@ -259,7 +259,7 @@ def routes(env: Any) -> list[list[int]]:
     return [edges.tolist() for edges in played.solution().edges]
 
 
-@examples(20)
+@examples(36)
 @given(contested(max_nets=5), rules(), rewards, st.booleans(), seeds)
 def test_the_same_moves_are_the_same_game(
     problem: Problem, options: dict[str, Any], reward: Any, persist: bool, seed: int

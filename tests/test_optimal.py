@@ -13,7 +13,7 @@ from typing import Any
 import networkx as nx
 import numpy as np
 import pytest
-from conftest import examples
+from conftest import examples, some_slow
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -404,9 +404,7 @@ def test_competing_nets_of_different_widths(seed: int) -> None:
 
 
 @pytest.mark.parametrize("factor", [1000, 10**6])
-@pytest.mark.parametrize(
-    "seed", [pytest.param(seed, marks=pytest.mark.slow if seed > 1 else []) for seed in range(6)]
-)
+@pytest.mark.parametrize("seed", some_slow(range(6), range(2, 6)))
 def test_large_numbers_do_not_lead_to_false_proofs(seed: int, factor: int) -> None:
     """With numbers this large the solver's tolerances amount to whole tracks."""
     small = crowded(seed)

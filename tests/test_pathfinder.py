@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import scipy.optimize
 import scipy.sparse
-from conftest import examples
+from conftest import examples, some_slow
 from hypothesis import given
 from hypothesis import strategies as st
 from reference import contested, pin_gcells, steiner_length
@@ -342,10 +342,11 @@ def paths(problem: Problem, net: int) -> list[np.ndarray]:
     ]
 
 
-def test_the_contests_cost_is_almost_the_least(tmp_path: Path) -> None:
+@pytest.mark.parametrize("seeds", some_slow((3, 8), (8,)))
+def test_the_contests_cost_is_almost_the_least(seeds: int, tmp_path: Path) -> None:
     """Against all pairs of short paths."""
     exact = 0
-    for seed in range(3):
+    for seed in range(seeds):
         problem = contest_problem(tmp_path, seed)
         pairs = itertools.product(paths(problem, 0), paths(problem, 1))
         least = min(contest_cost(Solution(problem, pair)).total for pair in pairs)
@@ -354,7 +355,7 @@ def test_the_contests_cost_is_almost_the_least(tmp_path: Path) -> None:
         assert cost.open == ()
         assert cost.total <= 1.02 * least
         exact += cost.total <= least + 1e-9
-    assert exact >= 1
+    assert exact >= {3: 2, 8: 5}[seeds]
 
 
 def test_the_contests_cost_counts_nets_that_stay(tmp_path: Path) -> None:
@@ -484,7 +485,7 @@ def test_every_net_is_joined_and_the_best_is_kept(
         assert best == (judged.overflow, weighted)
 
 
-@examples(4)
+@examples(6)
 @given(
     st.sampled_from(
         [
@@ -676,15 +677,15 @@ def test_many_nets_negotiate_from_patterns() -> None:
     assert wirelength < routed.history[0].wirelength
 
 
-def test_any_number_of_threads_finds_the_same(many_nets: Problem) -> None:
+@pytest.mark.parametrize("threads", some_slow((2, 3), (2,)))
+def test_any_number_of_threads_finds_the_same(many_nets: Problem, threads: int) -> None:
     """Also where all threads run out of room for trees in mid-batch, as they do here at first."""
     alone = router(passes=30).solve(many_nets)
-    together = [router(passes=30, threads=threads).solve(many_nets) for threads in (3,)]
+    together = router(passes=30, threads=threads).solve(many_nets)
     check_routed(many_nets, alone)
     assert alone.history[0].overflow > figures(many_nets, alone.solution)[0] == 0
-    for routed in together:
-        assert routed.history == alone.history
-        assert routed.solution == alone.solution
+    assert together.history == alone.history
+    assert together.solution == alone.solution
 
 
 def test_squeezing_in_batches_makes_nothing_worse(many_nets: Problem) -> None:

@@ -6,6 +6,7 @@ import warnings
 
 import numpy as np
 import pytest
+from conftest import some_slow
 
 import marouting
 from marouting.problem.grid import AXES, Grid
@@ -197,16 +198,16 @@ def test_rgb_of_a_fine_grid_darkens_with_use_and_turns_orange_with_overflow():
     assert red > green > blue
 
 
-def test_rgb_of_a_large_grid_has_no_pattern():
+@pytest.mark.parametrize("side", some_slow((100, 250, 404, 700), (250, 700)))
+def test_rgb_of_a_large_grid_has_no_pattern(side):
     """All edges of a layer alike: so are all pixels of its panel, whatever the picture's size."""
-    for side in (100, 404):
-        shape = (side, side, 2)
-        along_x = [edge(0, x, y, 0, shape) for x in range(side - 1) for y in range(side)]
-        picture = rgb_array(scene(shape, dict.fromkeys(along_x, 1)))
-        high, wide, _ = picture.shape
-        panel = picture[high // 4 : high // 2, wide // 8 : wide // 3]
-        assert (panel == panel[0, 0]).all(), side
-        assert max(high, wide) <= 1210
+    shape = (side, side, 2)
+    along_x = [edge(0, x, y, 0, shape) for x in range(side - 1) for y in range(side)]
+    picture = rgb_array(scene(shape, dict.fromkeys(along_x, 1)))
+    high, wide, _ = picture.shape
+    panel = picture[high // 4 : high // 2, wide // 8 : wide // 3]
+    assert (panel == panel[0, 0]).all()
+    assert max(high, wide) <= 1210
 
 
 def test_rgb_says_step_and_score():

@@ -1,6 +1,7 @@
 """Routers and policies, against the same moves made by hand through the environment's faces."""
 
 import gc
+import itertools
 import json
 import subprocess
 import sys
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from conftest import some_slow
 from hypothesis import given
 from hypothesis import strategies as st
 from numba.core.dispatcher import Dispatcher
@@ -300,13 +302,15 @@ def short(kind: str = "dqn", agents: str = "single") -> Config:
     return build(Config, raw)
 
 
+ALONE = [("dqn, torch", "single"), ("ppo", "single")]
+
+
 @pytest.mark.parametrize(
-    ("kind", "agents"),
-    [("dqn", "single"), ("dqn", "multi"), ("dqn, torch", "multi"), ("ppo", "multi")],
+    "trained", some_slow(itertools.product(LEARNERS, ("single", "multi")), ALONE)
 )
-def test_learned_router_gives_the_best_episode_of_a_training(kind: str, agents: str) -> None:
+def test_learned_router_gives_the_best_episode_of_a_training(trained: tuple[str, str]) -> None:
     problem = problem_of(3)
-    config = short(kind, agents)
+    config = short(*trained)
     watched: list[Episode] = []
     router = LearnedRouter(config, watch=watched.extend)
     routed = router.route(problem)

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
+from conftest import some_slow
 from numpy.typing import NDArray
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
@@ -726,10 +727,7 @@ KINDS: dict[str, dict[str, Any]] = {
 LONG_KINDS = ("torch, all switches", "ppo, central", "drawn, torch")
 
 
-@pytest.mark.parametrize(
-    "kind",
-    [pytest.param(kind, marks=pytest.mark.slow if kind in LONG_KINDS else []) for kind in KINDS],
-)
+@pytest.mark.parametrize("kind", some_slow(KINDS, LONG_KINDS))
 def test_a_run_killed_anywhere_goes_on_as_if_not(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -16,6 +16,7 @@ import gymnasium
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from conftest import some_slow
 from hypothesis import given
 from hypothesis import strategies as st
 from pettingzoo.test import api_test, parallel_api_test
@@ -292,11 +293,12 @@ def test_mirror_images_of_held_out_problems_never_occur_in_training() -> None:
 
 
 @pytest.mark.parametrize("name", [scenario.name for scenario in COOPERATION])
-def test_levels_for_policies_hold_mirror_images_out(name: str) -> None:
+@pytest.mark.parametrize("draws", some_slow((8, 20), (20,)))
+def test_levels_for_policies_hold_mirror_images_out(name: str, draws: int) -> None:
     scenario = scenarios.get(name)
     held = [mirror_digest(problem) for problem in (*scenario.validation, *scenario.test)]
     assert len(set(held)) == len(held)
-    drawn = itertools.islice(scenario.train(7), 300 if name == "gates-8x7-v0" else 8)
+    drawn = itertools.islice(scenario.train(7), 50 * draws if name == "gates-8x7-v0" else draws)
     assert not set(held) & {
         digest(mirrored(problem, **mirror)) for problem in drawn for mirror in MIRRORS
     }

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from conftest import some_slow
 from numpy.typing import NDArray
 
 from marouting import (
@@ -832,13 +833,7 @@ GAMES: dict[str, dict[str, Any]] = {
 COMPILED_ALONE = ("trees", "rip-up")  # games of their own, which no other test compiles
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=pytest.mark.slow if name in COMPILED_ALONE else [])
-        for name in GAMES
-    ],
-)
+@pytest.mark.parametrize("name", some_slow(GAMES, COMPILED_ALONE))
 @pytest.mark.usefixtures("few_steps")
 def test_all_games_go_on_within_their_episodes(name: str) -> None:
     problems = {"p": tiny(nets=4, max_pins=3), "q": tiny(1, max_pins=3)}
@@ -870,22 +865,28 @@ def goes_on(problems: dict[str, Problem], config: Config, count: int) -> None:
     assert torch.equal(networks_of(second), networks_of(whole))
 
 
-def test_the_papers_training_writes_what_it_always_wrote(tmp_path: Path) -> None:
-    """60 episodes by configs/paper/default.yaml, to the byte.
+FIRST_EPISODES = {
+    60: "76b79e9da054e8c549c22b293efff161106f2dc2b22df5727c583c83be888b73",
+    200: "817ee8891866bd6f56ad89bed7cfa8e2fe132607ba2076579d08b68d5e8b55c6",
+}
 
-    The digest is that of the release before the learners were opened. It depends on the
+
+@pytest.mark.parametrize("episodes", some_slow(FIRST_EPISODES, (200,)))
+def test_the_papers_training_writes_what_it_always_wrote(episodes: int, tmp_path: Path) -> None:
+    """The first episodes by configs/paper/default.yaml, to the byte.
+
+    The digests are those of the release before the learners were opened. They depend on the
     processor's fused multiply-add, which all x86-64 processors with AVX2 have.
     """
     flags = Path("/proc/cpuinfo")
     if not flags.exists() or " fma " not in flags.read_text(encoding="utf-8"):
-        pytest.skip("the digest was taken on a processor with fused multiply-add")
+        pytest.skip("the digests were taken on a processor with fused multiply-add")
     paper = Path(__file__).parent.parent / "configs" / "paper" / "default.yaml"
-    quiet = ["train.episodes=60", "train.figures=false", "train.tensorboard=false"]
+    quiet = [f"train.episodes={episodes}", "train.figures=false", "train.tensorboard=false"]
     config = load_config(paper, [*quiet, f"out={tmp_path / 'run'}"])
     Run(config).execute()
     written = (tmp_path / "run" / "metrics.jsonl").read_bytes()
-    expected = "76b79e9da054e8c549c22b293efff161106f2dc2b22df5727c583c83be888b73"
-    assert hashlib.sha256(written).hexdigest() == expected
+    assert hashlib.sha256(written).hexdigest() == FIRST_EPISODES[episodes]
 
 
 def test_a_step_may_fill_several_rollouts() -> None:
