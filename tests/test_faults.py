@@ -168,6 +168,8 @@ _FULL = """
 import os, resource, sys
 from policies.cli.main import status
 
+sys.dont_write_bytecode = True  # Python leaves half of what it compiles, and later trips over it
+
 for size in map(int, sys.argv[1:]):
     if not os.fork():
         resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
