@@ -299,3 +299,14 @@ def test_kept_routes_that_cannot_be(tmp_path: Path) -> None:
     sequential_astar(problem).write(file)
     with pytest.raises(InputError, match="keep: expected at least one net that does not stay"):
         adjusted(problem, Controls(keep=str(file)))
+
+
+def test_the_layer_of_the_pins_is_read_with_wires_or_refused() -> None:
+    with pytest.raises(InputError, match=r"layers: expected layers above Metal1.* found '1\.\.'"):
+        adjusted(Problem.read(CHIP), Controls(layers="1.."))
+    read = Problem.read(CHIP, pin_layer_wires=True)
+    assert (
+        adjusted(read, Controls(layers="1..")) == ProblemFile(path=str(CHIP), layers="1..").read()
+    )
+    with pytest.raises(InputError, match="clock_layers: expected layers above Metal1"):
+        ProblemFile(path=str(CHIP), clock_layers="1..2", clock_nets="*").read()

@@ -7,8 +7,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from marouting import Area, InputError, ProblemFile, Solution, evaluate, sequential_astar
+from marouting import (
+    Area,
+    InputError,
+    Net,
+    Pin,
+    Problem,
+    ProblemFile,
+    Solution,
+    evaluate,
+    sequential_astar,
+)
 from marouting.problem.guides import CROWDED, GuideCheck, check_guide, read_record
+from marouting.problem.net import Adjustment
 from policies.cli.main import status
 from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
 
@@ -198,3 +209,37 @@ def test_a_guide_without_boxes_is_told(tmp_path: Path, capsys: pytest.CaptureFix
     shown = capsys.readouterr()
     assert "none.guide: no boxes, so it is not checked as a guide" in shown.err
     assert not any(key.startswith("guide_") for key in json.loads(shown.out))
+
+
+def test_patches_count_what_controls_leave_also_beside_nets_that_stay(tmp_path: Path) -> None:
+    solution = sequential_astar(PROBLEM)
+    solution.write(tmp_path / "all.guide")
+    some = tuple(net.name for net in PROBLEM.nets[:2])
+    kept = {"keep": str(tmp_path / "all.guide"), "keep_nets": some}
+    sizes = []
+    for derate in (1.0, 0.3):
+        for controls in ({}, kept):
+            problem = ProblemFile(path=str(CHIP), derate={"Metal2": derate}, **controls).read()
+            routes = Solution(problem, [solution.edges[i] for i in _numbers(problem)])
+            routes.write(tmp_path / "a.guide", "patched-guide")
+            sizes.append(len(covered(tmp_path / "a.guide")))
+    assert sizes[0] == sizes[1] < sizes[2] == sizes[3]
+
+
+def _numbers(problem: Problem) -> list[int]:
+    """The numbers that a problem's nets have in PROBLEM."""
+    number = {net.name: i for i, net in enumerate(PROBLEM.nets)}
+    return [number[net.name] for net in problem.nets]
+
+
+def test_layers_whose_capacity_lies_in_few_edges_have_wires(tmp_path: Path) -> None:
+    """Of Metal3 one edge is open; a full edge in Metal2 gets room above it."""
+    nets = (Net("a", 0, (Pin(5, 5, 2), Pin(5, 75, 2))), Net("b", 1, (Pin(35, 35, 1),)))
+    problem = Problem(
+        (4, 8, 3), (0, 1, 0), (0, 0, 0), nets, (1,) * 3, (0,) * 3, (0,) * 3, (0, 0), (10, 10),
+        (Adjustment(0, 0, 3, 1, 0, 3, 4),),
+    )  # fmt: skip
+    assert problem.chip_or_default.wires.tolist() == [[False, False], [False, True], [True, False]]
+    sequential_astar(problem).write(tmp_path / "a.guide", "patched-guide")
+    text = (tmp_path / "a.guide").read_text()
+    assert all(f"0 {10 * y} 10 {10 * y + 10} Metal3" in text for y in range(2, 6))

@@ -12,8 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from marouting import InputError, Problem, Solution, evaluate
+from marouting import Area, Controls, InputError, Problem, Solution, adjusted, evaluate
 from marouting.problem.contest import contest_cost, with_pins_covered
+from marouting.problem.grid import AXES, VIA_AXIS
 from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "ispd24"
@@ -473,3 +474,48 @@ def test_the_other_file_is_missing(files: Path) -> None:
         Problem.read(files)
     with pytest.raises(InputError, match=r"expected no lef: only \.def files take it"):
         Problem.read(files, lef=["a.lef"])
+
+
+def parallel(tmp_path: Path, tracks: float) -> Path:
+    """Two nets side by side in x, and two layers for each direction above those of the pins."""
+    text = "5 7 7\n0.001 0.05 10 10 10 10 10\n" + ("100 " * 6 + "\n") * 2
+    for layer, direction in enumerate("10101"):
+        row = f"{tracks if layer else 0} " * 7 + "\n"
+        text += f"m{layer + 1} {direction} 0\n" + row * 7
+    (tmp_path / "p.cap").write_text(text)
+    nets = [f"{name}\n(\n[(0, 0, {y})]\n[(0, 6, {y})]\n)\n" for name, y in (("a", 2), ("b", 5))]
+    (tmp_path / "p.net").write_text("".join(nets))
+    return tmp_path / "p.cap"
+
+
+@pytest.mark.parametrize("tracks", [0.9, 1.0, 2.5])
+def test_controls_count_also_where_there_is_less_than_a_track(
+    tmp_path: Path, tracks: float
+) -> None:
+    """What is closed stays free of wires if the contest's cost is minimised."""
+    problem = Problem.read(parallel(tmp_path, tracks))
+    router = PathfinderRouter(PathfinderOptions(passes=10, seconds=None, cost="ispd2024"))
+
+    def used(controls: Controls) -> set[tuple[int, int, int]]:
+        """Column, row and layer, from 1, of all wires."""
+        solution = router.route(adjusted(problem, controls))
+        assert contest_cost(solution).open == ()
+        edge = solution.uses[1]
+        wires = edge[edge % AXES != VIA_AXIS] // AXES
+        x, y, z = np.unravel_index(wires, problem.grid)
+        return {*zip(x.tolist(), y.tolist(), (z + 1).tolist(), strict=True)}
+
+    assert {z for _, _, z in used(Controls())} == {2}
+    assert {z for _, _, z in used(Controls(layers="3..5"))} == {4}
+    assert {z for _, _, z in used(Controls(derate={"m2": 0}))} == {4}
+    closed = Area(columns=(2, 4), rows=(1, 3), factor=0)
+    around = used(Controls(areas=(closed,)))
+    assert not {(x, y) for x, y, _ in around} & {(x, y) for x in range(2, 5) for y in range(1, 4)}
+
+
+def test_reduced_capacities_are_cut_to_whole_tracks_once(tmp_path: Path) -> None:
+    problem = Problem.read(parallel(tmp_path, 1.9))
+    reduced = adjusted(problem, Controls(derate={"2..": 0.9}))  # 1.71
+    assert np.array_equal(reduced.capacity, problem.capacity)
+    again = adjusted(reduced, Controls(derate={"2..": 0.5}))  # 0.855
+    assert again.layer_capacity[:, :2].max() == 0

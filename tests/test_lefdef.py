@@ -635,6 +635,33 @@ def test_nets_with_a_nondefault_rule_take_more_tracks(tmp_path: Path, place: str
         Problem.read(design(tmp_path, wide, lef))
 
 
+def test_tracks_in_several_statements_are_as_far_apart_as_they_lie(tmp_path: Path) -> None:
+    """As OpenROAD writes the layers of asap7: each statement has every second track, or fewer."""
+    ruled = DEF.replace("NETS 2", f"{RULES['def']}NETS 2")
+    ruled = ruled.replace("( u1 A ) + USE", "( u1 A ) + NONDEFAULTRULE wide + USE")
+    both = "TRACKS Y 50 DO 5 STEP 200 LAYER M1 ;\nTRACKS Y 150 DO 5 STEP 200 LAYER M1 ;"
+    parted = ruled.replace("TRACKS Y 50 DO 10 STEP 100 LAYER M1 ;", both)
+    assert Problem.read(design(tmp_path, parted)) == Problem.read(design(tmp_path, ruled))
+    # Gcells without a GCELLGRID: 15 tracks of M2, also with a track beside the others.
+    bare = "\n".join(line for line in ruled.split("\n") if not line.startswith("GCELLGRID"))
+    more = bare.replace("TRACKS X", "TRACKS X 999 DO 1 STEP 0 LAYER M2 ;\nTRACKS X")
+    big = "( 0 0 ) ( 4000 4000 )"
+    grids = [
+        Problem.read(design(tmp_path, text.replace("( 0 0 ) ( 1000 1000 )", big))).grid
+        for text in (bare, more)
+    ]
+    assert grids[0] == grids[1] == (2, 2, 2)
+
+
+def test_tracks_by_a_pitch_with_any_offset(tmp_path: Path) -> None:
+    bare = "\n".join(line for line in DEF.split("\n") if not line.startswith("TRACKS"))
+    read = [
+        Problem.read(design(tmp_path, bare, LEF.replace("PITCH 0.1 ;", f"PITCH 0.1 ;\n{offset}")))
+        for offset in ("  OFFSET 0.05 ;", "  OFFSET -0.95 ;", "  OFFSET 0.35 ;")
+    ]
+    assert read[0] == read[1] == read[2]
+
+
 @pytest.mark.parametrize("place", RULES)
 def test_nondefault_rules_with_unknown_layers_or_negative_sizes(tmp_path: Path, place: str) -> None:
     unknown = RULES[place].replace("LAYER M1", "LAYER M9", 1).replace("END M1", "END M9", 1)

@@ -9,8 +9,9 @@ from marouting.memory import USED
 from marouting.problem.chip import Chip, Places
 from marouting.problem.grid import AXES, VIA_AXIS, distinct, gcells_of_boxes, is_among, neighbours
 from marouting.problem.net import FieldError
-from marouting.problem.parts import joined_parts, mark_joins
+from marouting.problem.parts import joined_parts, lowest, mark_joins
 from marouting.problem.problem import Problem
+from marouting.problem.reached import pins_among
 from marouting.problem.segments import longest_runs
 
 
@@ -22,15 +23,21 @@ class Boxes(NamedTuple):
     layer: NDArray[np.int64]  # (n,) int64, from 0
 
 
-def edges_in_boxes(problem: Problem, boxes: Boxes) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The edges between Gcells that a net's boxes touch: (k,) net and edge of each, ascending.
+def edges_in_boxes(
+    problem: Problem, boxes: Boxes
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """The edges between Gcells that a net's boxes touch, and where they reach pins.
 
     A guide is only a region. Two Gcells of it that lie above each other are connected, and
     two neighbours of one box if the edge between them has capacity. Guides also count on neighbours
-    in different boxes, and on short wires where there are no tracks. Where parts of a net touch in
-    no other way, these join them, no more than are needed: first neighbours in different boxes,
-    then wires without tracks along their layer's direction, in one box and then between boxes, and
-    at last wires across it.
+    in different boxes, and on short wires where there are no tracks. Where the pins of a net are
+    joined in no other way, these join parts, no more than are needed: first neighbours in different
+    boxes, then wires without tracks along their layer's direction, in one box and then between
+    boxes, and at last wires across it.
+
+    Returns:
+        (k,) net and edge of each, ascending, and (pins,) the Gcell by which each pin is reached
+        (:func:`marouting.problem.reached.pins_among`), before any of these joins.
 
     Raises:
         FieldError: a box is empty or lies off the chip; ``row`` tells which. Of a box that reaches
@@ -74,11 +81,33 @@ def edges_in_boxes(problem: Problem, boxes: Boxes) -> tuple[NDArray[np.int64], N
     needed = np.concatenate(costs)
     kept = needed == 0
     part = joined_parts(near[kept], far[kept], len(covered))
+    pins = pins_among(problem, covered, part)
+    reached = problem.net_of_pins * size + pins
     for level in range(1, 5):
-        apart = np.flatnonzero((needed == level) & (part[near] != part[far]))
-        mark_joins(near, far, apart, part, kept)
-    uses = np.sort(AXES * covered[near[kept]] + np.concatenate(axes)[kept])
-    return np.divmod(uses, AXES * size)
+        is_open = _are_open(problem, covered, part, reached)
+        apart = (needed == level) & (part[near] != part[far]) & is_open[covered[near] // size]
+        mark_joins(near, far, np.flatnonzero(apart), part, kept)
+        part = lowest(part)
+    net, edge = np.divmod(
+        np.sort(AXES * covered[near[kept]] + np.concatenate(axes)[kept]), AXES * size
+    )
+    return net, edge, pins
+
+
+def _are_open(
+    problem: Problem,
+    covered: NDArray[np.int64],
+    part: NDArray[np.int64],
+    reached: NDArray[np.int64],
+) -> NDArray[np.bool_]:
+    """(nets,) whether a net's pins, nets · G + Gcell, are not all in one part of ``covered``."""
+    there = is_among(reached, covered)
+    at = np.where(there, part[np.searchsorted(covered, reached) * there], -1)
+    net = problem.net_of_pins
+    apart = (net[1:] == net[:-1]) & ((at[1:] != at[:-1]) | ~there[1:])
+    found = np.zeros(len(problem.nets), np.bool_)
+    found[net[1:][apart]] = True
+    return found
 
 
 def boxes_of(

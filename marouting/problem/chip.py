@@ -24,6 +24,7 @@ class Contest:
     x_length: NDArray[np.float64]  # (X - 1,) length of the edges from each column to the next
     y_length: NDArray[np.float64]  # (Y - 1,) length of the edges from each row to the next
     capacity: NDArray[np.float64]  # (X, Y, Z) of every Gcell, in tracks, which need not be whole
+    left: NDArray[np.float64]  # (X, Y, Z) what controls leave of it to routers
     axis: NDArray[np.int64]  # (Z,) 0 for a horizontal layer, 1 for a vertical one
 
 
@@ -55,6 +56,7 @@ class Chip:
     places: Places | None = None  # where pins can be reached; None: only where the problem has them
     contest: Contest | None = None  # of a problem of the ISPD 2024 contest
     clock: NDArray[np.bool_] | None = None  # (nets,) whether the files call a net a clock; None: no
+    only_pins: bool = False  # whether the tracks of the lowest layer were left out
 
     def on_chip(self, box: NDArray[np.int64]) -> NDArray[np.int64]:
         """(n, 4) int64, the parts of boxes that lie on the chip; empty boxes where none does.

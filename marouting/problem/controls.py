@@ -17,6 +17,7 @@ import re
 from collections.abc import Collection
 from dataclasses import dataclass, field, fields, replace
 from fnmatch import fnmatchcase
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +26,9 @@ from marouting.checks import check_fields
 from marouting.config import check
 from marouting.errors import InputError, nearest
 from marouting.files import beside, stem_of, suffix_of
-from marouting.problem.chip import Chip
+from marouting.problem.chip import Chip, Contest, as_adjustments
 from marouting.problem.grid import AXES, VIA_AXIS, distinct
-from marouting.problem.net import Adjustment
+from marouting.problem.net import MAX_NUMBER, Adjustment
 from marouting.problem.problem import Kept, Problem
 from marouting.problem.solution import Solution, evaluate
 
@@ -169,22 +170,19 @@ def adjusted(problem: Problem, controls: Controls) -> Problem:
     free = np.setdiff1d(np.arange(len(problem.nets)), kept)
     check("keep", len(free), f"at least one net that does not stay, found all in {controls.keep}")
     allowed = _allowed_layers(problem, controls)
-    edge, capacity, by_layer = _reduced(problem, controls, np.any(allowed[free], axis=0))
-    if stays is not None:
-        used, tracks = stays.used_edges
-        inside = used % AXES != VIA_AXIS
-        used, tracks = used[inside], tracks[inside]
-        both = distinct(np.concatenate((edge, used)))
-        left = by_layer[both // AXES % problem.grid[2], both % AXES]
-        left[np.searchsorted(both, edge)] = capacity
-        left[np.searchsorted(both, used)] -= tracks
-        edge, capacity = both, np.maximum(left, 0)
-    found = _with_capacities(problem, edge, capacity, by_layer)
-    found = _with_widths(found, allowed, free)
+    whole = _derated(problem, controls, np.any(allowed[free], axis=0))
     if stays is None:
-        return found
+        return _with_widths(whole, allowed, free)
+    used, tracks = stays.used_edges
+    inside = used % AXES != VIA_AXIS
+    used, tracks = used[inside], tracks[inside]
+    edge = distinct(np.concatenate((whole.adjusted[0], used)))
+    left = whole.capacity_of(edge)
+    left[np.searchsorted(edge, used)] -= tracks
+    found = _with_capacities(whole, edge, np.maximum(left, 0), whole.layer_capacity)
+    found = _with_widths(found, allowed, free)
     nets = tuple(found.nets[i] for i in free.tolist())
-    chip, own = _chip_of(problem.chip, free), Kept(problem, free, stays.uses)
+    chip, own = _chip_of(whole.chip, free), Kept(whole, free, stays.uses)
     return replace(found, nets=nets, chip=chip, kept=own)
 
 
@@ -245,10 +243,14 @@ def _allowed_layers(problem: Problem, controls: Controls) -> NDArray[np.bool_]:
 def _wired(problem: Problem, name: str, given: str | int | None) -> NDArray[np.bool_]:
     """:func:`layers_of`; raises InputError if they lack wires along an axis that others have."""
     layers = layers_of(problem, name, given)
-    there = problem.layer_capacity[:, :VIA_AXIS] > 0
-    edge, capacity = problem.adjusted
-    rows = edge[capacity > 0]
-    there[rows // AXES % problem.grid[2], rows % AXES] = True
+    chip = problem.chip_or_default
+    if given is not None and chip.only_pins and layers[0]:
+        raise InputError(
+            f"{name}: expected layers above {chip.layers[0]}, which was read as a layer of pins "
+            f"without wires, found {given!r}; give the file with layers=1.., or read it with "
+            "pin_layer_wires=True"
+        )
+    there = problem.wired
     for axis, way in enumerate(("horizontal", "vertical")):
         lacks = there[:, axis].any() and not there[layers, axis].any()
         check(name, not lacks, f"a layer for {way} wires among them, found none in {given!r}")
@@ -275,26 +277,44 @@ def _with_widths(problem: Problem, allowed: NDArray[np.bool_], nets: NDArray[np.
 # --- Capacity -------------------------------------------------------------------------------------
 
 
-def _reduced(
-    problem: Problem, controls: Controls, open_layers: NDArray[np.bool_]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Capacities after derating: edges that differ, (n,) twice, and (Z, 2) by layer and axis."""
+def _derated(problem: Problem, controls: Controls, open_layers: NDArray[np.bool_]) -> Problem:
+    """The problem with the capacities that closed layers, ``derate`` and ``areas`` leave."""
     layers = problem.grid[2]
     factor = open_layers.astype(np.float64)
     for name, share in controls.derate.items():
         factor[layers_of(problem, f"derate.{name}", name)] *= share
-    edge = problem.adjusted[0]
+    if problem.chip is not None and problem.chip.contest is not None:
+        return _derated_contest(problem, problem.chip, problem.chip.contest, controls, factor)
     regions = [_edges_in(problem, number, area) for number, area in enumerate(controls.areas)]
-    edge = distinct(np.concatenate((edge, *regions)))
+    edge = distinct(np.concatenate((problem.adjusted[0], *regions)))
     own = factor[edge // AXES % layers]
     for region, area in zip(regions, controls.areas, strict=True):
         own[np.searchsorted(edge, region)] *= area.factor
     capacity = _share(problem.capacity_of(edge), own)
     by_layer = _share(problem.layer_capacity[:, :VIA_AXIS], factor[:, None])
-    return edge, capacity, by_layer
+    return _with_capacities(problem, edge, capacity, by_layer)
 
 
-def _share(capacity: NDArray[np.int32], factor: NDArray[np.float64]) -> NDArray[np.int64]:
+def _derated_contest(
+    problem: Problem,
+    chip: Chip,
+    contest: Contest,
+    controls: Controls,
+    factor: NDArray[np.float64],
+) -> Problem:
+    """:func:`_derated` for a problem of the ISPD 2024 contest, whose tracks need not be whole."""
+    left = contest.left * factor
+    for number, area in enumerate(controls.areas):
+        near, axis = np.divmod(_edges_in(problem, number, area), AXES)
+        along = axis == contest.axis[near % problem.grid[2]]
+        left.reshape(-1)[near[along]] *= area.factor
+    whole = _share(np.minimum(left, MAX_NUMBER), 1)
+    capacities = as_adjustments(whole, contest.axis, np.any(chip.wires, axis=1))
+    chip = replace(chip, contest=replace(contest, left=left))
+    return replace(problem, chip=chip, **capacities._asdict())
+
+
+def _share(capacity: NDArray[Any], factor: NDArray[np.float64] | float) -> NDArray[np.int64]:
     """Capacities times factors, rounded down; 0.7 of ten tracks are seven."""
     return np.floor(capacity * factor + 1e-6).astype(np.int64)
 
@@ -327,8 +347,8 @@ def _edges_in(problem: Problem, number: int, area: Area) -> NDArray[np.int64]:
 def _with_capacities(
     problem: Problem,
     edge: NDArray[np.int64],
-    capacity: NDArray[np.int64],
-    by_layer: NDArray[np.int64],
+    capacity: NDArray[np.integer],
+    by_layer: NDArray[np.integer],
 ) -> Problem:
     """The problem with other capacities: of layers and axes (Z, 2), and of single edges."""
     near, axis = np.divmod(edge, AXES)

@@ -149,7 +149,7 @@ def patches(
     crowded = used[(tracks > 0) & (tracks >= CROWDED * problem.capacity_of(used))]
     concerned = (edge % AXES != VIA_AXIS) & is_among(edge, crowded)
     near = edge[concerned] // AXES
-    wired = problem.layer_capacity[:, :VIA_AXIS].max(axis=1) > 0
+    wired = np.max(problem.wired, axis=1)
     for gcell in (near, near + problem.strides[edge[concerned] % AXES]):
         position = np.stack(np.unravel_index(gcell, problem.grid), axis=1)
         for step in (-1, 1):

@@ -24,6 +24,11 @@ def joined_parts(
         np.minimum.at(part, high, np.minimum(near, far))
         while ((lower := part[part[high]]) != part[high]).any():
             part[high] = lower
+    return lowest(part)
+
+
+def lowest(part: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(vertices,) for each the root of its tree, given the parent of each; roots are their own."""
     while ((lower := part[part]) != part).any():
         part = lower
     return part

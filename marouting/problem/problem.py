@@ -234,7 +234,7 @@ class Problem:
             for axis in (0, 1)
         )
         layers = tuple(f"Metal{layer + 1}" for layer in range(self.grid[2]))
-        return Chip(layers, x, y, self.layer_capacity[:, :VIA_AXIS] > 0)
+        return Chip(layers, x, y, self.wired)
 
     @functools.cached_property
     def topology(self) -> Grid:
@@ -266,6 +266,15 @@ class Problem:
         edge, last = np.unique(self._adjusted_edges[::-1], return_index=True)
         capacity = np.array([adjustment.capacity for adjustment in self.adjustments], np.int32)
         return edge, capacity[::-1][last]
+
+    @property
+    def wired(self) -> NDArray[np.bool_]:
+        """(Z, 2) whether any edge of a layer along x, and along y, has capacity."""
+        there = self.layer_capacity[:, :VIA_AXIS] > 0
+        edge, capacity = self.adjusted
+        rows = edge[capacity > 0]
+        there[rows // AXES % self.grid[2], rows % AXES] = True
+        return there
 
     def capacity_of(self, edge: NDArray[np.int64]) -> NDArray[np.int32]:
         """The capacity of some edges, without the memory that :attr:`capacity` takes for all.

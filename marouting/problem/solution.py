@@ -17,12 +17,12 @@ from marouting.files import check_suffix, suffix_of
 from marouting.kernels import compiled
 from marouting.problem import ispd
 from marouting.problem.boxes import Boxes, boxes_of, edges_in_boxes
-from marouting.problem.chip import Places
 from marouting.problem.grid import AXES, OFF_GRID, VIA_AXIS, distinct, is_among
 from marouting.problem.guides import Record, patches, read_record
 from marouting.problem.net import FieldError
 from marouting.problem.parts import MANY, joined_parts
 from marouting.problem.problem import Problem, check_problem
+from marouting.problem.reached import pins_reached
 from marouting.problem.segments import (
     covered_edges,
     edges_between,
@@ -177,37 +177,14 @@ class Solution:
         its problem.
 
         Returns:
-            A solution of a problem in which every pin is moved to its first place where an edge of
-            its net ends, unless one does where it is, or nowhere. The pins of a net without edges
-            are moved to the first Gcell where all of them are, if there is one. This solution, if
-            none moves.
+            A solution of a problem in which every pin is where the routes reach it, in the part of
+            them that holds most pins of the net (:mod:`marouting.problem.reached`). This solution,
+            if none moves.
         """
-        gcell = self._reached_gcells()
+        gcell = pins_reached(self.problem, *self.uses)
         if gcell is self.problem.gcell_of_pins:
             return self
         return Solution.of_uses(with_pins_at(self.problem, gcell), *self.uses)
-
-    def _reached_gcells(self) -> NDArray[np.int64]:
-        """(pins,) the Gcell of every pin of :meth:`at_reached_pins`."""
-        problem, (net, edge) = self.problem, self.uses
-        places = None if problem.chip is None else problem.chip.places
-        if places is None:
-            return problem.gcell_of_pins
-        size = int(np.prod(problem.grid))
-        near = edge // AXES
-        ends = np.concatenate((near, near + problem.strides[edge - AXES * near]))
-        shared = _shared_places(problem, places, net)
-        reached = distinct(np.concatenate((np.tile(net, 2) * size + ends, shared)))
-        pins = np.arange(len(places.first) - 1)
-        owner = np.repeat(np.arange(len(problem.nets)), np.diff(places.first_pin))
-        pin = np.repeat(pins, np.diff(places.first))
-        good = np.flatnonzero(is_among(owner[pin] * size + places.gcell, reached))
-        first = np.full(len(pins), -1)
-        first[pin[good[::-1]]] = places.gcell[good[::-1]]
-        moved = (first >= 0) & ~is_among(owner * size + problem.gcell_of_pins, reached)
-        return (
-            np.where(moved, first, problem.gcell_of_pins) if moved.any() else problem.gcell_of_pins
-        )
 
     @staticmethod
     def read(path: str | os.PathLike[str], problem: Problem) -> "Solution":
@@ -246,8 +223,8 @@ class Solution:
                 segment, edge = covered_edges(problem, record.points)
             elif len(record.boxes):
                 boxes = Boxes(record.net, record.boxes[:, :4], record.boxes[:, 4])
-                region = Solution.of_uses(problem, *edges_in_boxes(problem, boxes))
-                pins = region._reached_gcells()
+                *uses, pins = edges_in_boxes(problem, boxes)
+                region = Solution.of_uses(problem, *uses)
                 return region._pruned(_graph(region, problem.net_of_pins, pins))
             elif len(record.points):
                 segment, edge = _edges_of_points(problem, record)
@@ -313,10 +290,10 @@ class Solution:
         nets = self.problem.nets
         if format in ("guide", "patched-guide"):
             layers = self.problem.chip_or_default.layers
-            more = None
+            there, more = self.at_reached_pins().problem, None
             if format == "patched-guide":
-                more = patches(self.problem, self.uses, self.used_edges)
-            net, box, layer = boxes_of(self.problem, *self.uses, more)
+                more = patches(there, self.uses, self.used_edges)
+            net, box, layer = boxes_of(there, *self.uses, more)
             rows = [
                 f"{left} {low} {right} {high} {layers[z]}"
                 for left, low, right, high, z in zip(*box.T.tolist(), layer.tolist(), strict=True)
@@ -346,21 +323,6 @@ class Solution:
                 f"net {self.problem.nets[net[at]].name}: expected no {way} wires in layer "
                 f"{chip.layers[layer[at]]}; {np.count_nonzero(wrong)} edges are such wires"
             )
-
-
-def _shared_places(
-    problem: Problem, places: Places, routed: NDArray[np.int64]
-) -> NDArray[np.int64]:
-    """Nets · G + Gcell of the first Gcell that all pins of a net without edges have in common."""
-    size = int(np.prod(problem.grid))
-    pins = np.diff(places.first_pin)
-    owner = np.repeat(np.arange(len(pins)), pins)
-    pin = np.repeat(np.arange(len(owner)), np.diff(places.first))
-    without = ~is_among(owner[pin], routed)
-    each = np.unique(np.stack((owner[pin] * size + places.gcell, pin), axis=1)[without], axis=0)
-    key, count = np.unique(each[:, 0], return_counts=True)
-    shared = key[count == pins[key // size]]
-    return shared[np.unique(shared // size, return_index=True)[1]]
 
 
 def _edges_of_gcells(

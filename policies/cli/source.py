@@ -43,10 +43,10 @@ def problem_argument(command: Callable[..., None]) -> Callable[..., None]:
         "controls",
         metavar="KEY=VALUE",
         multiple=True,
-        help="A control of the problem, such as layers=2..6, derate.met1=0.8 or keep=FILE; may be "
-        "given several times, each key once. The keys are "
+        help="Changes the problem before it is used, such as layers=2..6, derate={2..: 0.8} or "
+        "keep=FILE; may be given several times, each key once. The keys are "
         f"{', '.join(own.name for own in fields(Controls))}. "
-        "Without it, the problem stays as it is read.",
+        "Without it, the problem stays as the file gives it.",
     )
     @functools.wraps(command)
     def with_file(

@@ -162,9 +162,10 @@ def _read_resources(path: str | os.PathLike[str]) -> tuple[tuple[str, ...], Cont
                 capacity.append(_floats("capacities", tokens))
         if tokens := lines.next():
             raise unexpected(f"the end of the file after {layers} layers", tokens)
-    table = np.array(capacity).reshape(layers, rows, columns).transpose(2, 1, 0)
+    listed = np.array(capacity).reshape(layers, rows, columns)
+    table = np.ascontiguousarray(listed.transpose(2, 1, 0))
     costs = float(wire_cost), float(via_cost), overflow_cost
-    contest = Contest(*costs, x_length, y_length, np.ascontiguousarray(table), np.array(axis))
+    contest = Contest(*costs, x_length, y_length, table, table, np.array(axis))
     return tuple(names), contest
 
 

@@ -76,7 +76,8 @@ def read_design(
     axis = np.array([layer.axis for layer in layers])
     owner, pin_boxes = _located_pins(design, shapes)
     pins = _pin_gcells(design, owner, pin_boxes, x, y, len(layers))
-    if not pin_layer_wires and _is_pin_layer(design, pins.gcell[:, 2], axis):
+    only_pins = not pin_layer_wires and bool(_is_pin_layer(design, pins.gcell[:, 2], axis))
+    if only_pins:
         capacity[..., 0] = 0
     fields = as_adjustments(capacity, axis, np.ones(len(layers), np.bool_))
     origin = (int(x[0]), int(y[0]))
@@ -93,6 +94,7 @@ def read_design(
         np.stack((axis == 0, axis == 1), axis=1),
         pins.places,
         clock=np.array([name in design.clocks for name in design.nets]) if design.clocks else None,
+        only_pins=only_pins,
     )
     widths = {name: _rule_tracks(design, layers, rule) for name, rule in rules.items()}
     where = {
@@ -158,8 +160,13 @@ def _lines(
 
 
 def _step(design: Design, layer: Layer) -> int:
-    """The least distance between tracks of a layer, in the design's units."""
-    return min(tracks.step for tracks in _tracks(design, layer))
+    """The commonest distance between tracks of a layer, in the design's units.
+
+    Several statements may give tracks in turn, each with a step of several tracks.
+    """
+    tracks, across = _tracks(design, layer), 1 - layer.axis
+    at = places(tracks, design.box[across], design.box[across + 2], design.file)
+    return _usual(np.diff(at)) if len(at) > 1 else min(own.step for own in tracks)
 
 
 def _is_pin_layer(
@@ -221,7 +228,8 @@ def _tracks(design: Design, layer: Layer) -> list[Tracks]:
         return own
     pitch = _pitch(design, layer, across)
     offset = layer.offset[across] * design.units if layer.offset else pitch / 2
-    return [Tracks(across, low + round(offset), (high - low) // pitch + 1, pitch, (), 1)]
+    first = low + round(offset) % pitch
+    return [Tracks(across, first, (high - low) // pitch + 1, pitch, (), 1)]
 
 
 def _capacity(

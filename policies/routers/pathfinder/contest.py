@@ -33,7 +33,7 @@ def with_contest(
     wire = np.zeros((2, max(problem.grid[:2])), np.int64)
     for axis, length in enumerate(lengths):
         wire[axis, : len(length)] = np.rint(length * UNIT / usual)
-    tracks, closed = _tracks(problem, contest)
+    tracks, closed = _tracks(contest)
     overflow_cost = contest.overflow_cost * UNIT / usual
     overflow_cost[0] = 0.0
     capacity = np.where(closed, -1, arrays.capacity)
@@ -59,25 +59,16 @@ def with_contest(
     )
 
 
-def _tracks(problem: Problem, contest: Contest) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def _tracks(contest: Contest) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """(X, Y, Z, 3) capacity of every edge, and (E,) the edges of layers without wires.
 
-    Capacities are those of the files, with their fractions of tracks, but where the problem has
-    less by its controls. Layers that have lost all of it are closed, unless wires along their axis
-    have no other; their vias are counted by the files' capacity.
+    Capacities are what controls leave, with their fractions of tracks. Layers that have lost all of
+    it are closed, unless wires along their axis have no other; their vias are counted by the files'
+    capacity.
     """
-    tracks = np.zeros((*problem.grid, AXES))
-    for z, axis in enumerate(contest.axis):
-        tracks[..., z, axis] = usable(contest.capacity[..., z])
-    left = problem.capacity.astype(np.int64)
-    if problem.kept is not None:
-        left += Solution.of_uses(problem.kept.whole, *problem.kept.uses).edge_demand
-    left = left.reshape(tracks.shape)
-    reduced = left < np.floor(tracks)
-    reduced[..., VIA_AXIS] = False
-    has = (left > 0).any(axis=(0, 1))
-    had = (tracks > 0).any(axis=(0, 1))
-    closed = had & ~has & has.any(axis=0)
-    return np.where(reduced & ~closed, left, tracks), np.broadcast_to(closed, tracks.shape).reshape(
-        -1
-    )
+    before, left = usable(contest.capacity), usable(contest.left)
+    had, has = (np.max(tracks, axis=(0, 1))[:, None] > 0 for tracks in (before, left))
+    along = np.equal.outer(contest.axis, np.arange(AXES))  # (Z, 3)
+    closed = along & had & ~has & np.max(along & has, axis=0)
+    tracks = np.where(np.max(closed, axis=1), before, left)[..., None] * along
+    return tracks, np.broadcast_to(closed, tracks.shape).reshape(-1)

@@ -27,10 +27,10 @@ class PathfinderOptions:
             value just above 0 to compare with wirelengths that leave vias out, such as those
             published for ISPD'98. A list has the costs of vias from layer 1 to 2, from 2 to 3, and
             so on.
-        crowding: what an edge inside a layer costs more when it is just full, in edges, so that
-            fewer edges are filled. The additional cost grows in proportion to the tracks in use
-            beyond ``crowded_from``. Wirelength and this cost together are what is least, after
-            overflow. 0: edges cost the same up to their capacity.
+        crowding: the additional cost of the last track of an edge inside a layer, in edges, so that
+            fewer edges are filled. Each track beyond ``crowded_from`` costs more than the one
+            before. The router first minimises overflow, then wirelength plus this cost. 0: edges
+            cost the same up to their capacity.
         crowded_from: share of an edge's capacity from which on it costs more.
         prefer_layers: the layers that long nets prefer, given as in :class:`marouting.Controls`;
             None: none. Unlike the control ``long_layers`` this forbids nothing: a wire costs more
