@@ -36,6 +36,7 @@ class Games(Protocol):
             ``overflow``, ``wirelength``, ``steps`` made, ``round`` and ``asked``.
         remaining: (M, E) what is left of the capacity of every edge.
         max_steps: steps after which a task fails.
+        overflow_allowed: whether moves cross full edges.
     """
 
     @property
@@ -56,6 +57,8 @@ class Games(Protocol):
     def remaining(self) -> NDArray[np.int32]: ...  # noqa: D102
     @property
     def max_steps(self) -> int: ...  # noqa: D102
+    @property
+    def overflow_allowed(self) -> bool: ...  # noqa: D102
 
     def uses(
         self, problems: NDArray[np.integer], agents: NDArray[np.integer], edges: NDArray[np.integer]
@@ -132,7 +135,7 @@ class Columns:
         )
         self.games: Any = _Figures(game)
         self.remaining = np.frombuffer(game.remaining, np.int32)[None]
-        self.max_steps = game.max_steps
+        self.max_steps, self.overflow_allowed = game.max_steps, game.overflow_allowed
         self.static = SimpleNamespace(position=game.grid.position)  # as it was called before 0.3
         self.mirror: Any = None  # of the game in the batch, see marouting.batch.mirror
 

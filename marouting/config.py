@@ -594,7 +594,7 @@ def _shown(value: Any) -> str:
 
 # --- pieces ---------------------------------------------------------------------------------------
 
-_PIECE = "a name or a mapping with kind"
+_PIECE = "a name, a mapping with kind, or an object in Python"
 
 _CONTEXT = {"network": 2, "learner": 1}
 """The number of arguments that the constructor of a piece gets before its options."""

@@ -112,8 +112,8 @@ class PolicyResult:
         return figures
 
     def __str__(self) -> str:
-        gap = "" if self.gap is None else f", {self.gap:.2f} % above the reference"
-        scored = "without references no score"
+        gap = "" if self.gap is None else f"; solved ones {self.gap:.2f} % above the reference"
+        scored = "no score without references"
         if self.score is not None:
             scored = f"cost {self.cost:.4f}, score {self.score:.3f}"
         return (

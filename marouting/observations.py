@@ -272,6 +272,22 @@ def space_of(observation: Observation, problems: Sequence[Problem], overflow: bo
     return space
 
 
+def write_rows(
+    observation: Observation,
+    games: Games,
+    problems: NDArray[np.integer],
+    agents: NDArray[np.integer],
+    out: NDArray[np.float32],
+) -> None:
+    """Has an observation fill rows; raises InputError if it returns rows of its own instead."""
+    returned: Any = observation.write(games, problems, agents, out)  # type: ignore[func-returns-value]
+    if returned is not None:
+        name = type(observation).__name__
+        raise InputError(
+            f"observation: expected {name}.write to fill its argument out, and to return nothing"
+        )
+
+
 def seen_by(
     observation: Observation, shape: tuple[int, ...]
 ) -> Callable[[Game, int], NDArray[np.float32]]:
@@ -319,7 +335,7 @@ def _has_state(observation: Observation) -> bool:
 
 
 def has_form(piece: object, plain: str, columns: str) -> bool:
-    """Whether a piece has ``plain``, and no subclass of its class overrides only ``columns``."""
+    """Whether a piece has ``plain``, and no class nearer to its own overrides only ``columns``."""
     for cls in type(piece).__mro__:
         if plain in vars(cls):
             return True

@@ -57,6 +57,7 @@ from marouting.observations import (
     has_move_order,
     move_order_of,
     space_of,
+    write_rows,
 )
 from marouting.options import FORMS
 from marouting.problem.grid import MOVES
@@ -225,7 +226,8 @@ class Player:
     ) -> None:
         for name, piece in (("observation", observation), ("reward", reward)):
             columns = FORMS[name][0]
-            what = f"an object that has {columns}, for the batch, found {type(piece).__name__}"
+            found = f"found {type(piece).__name__}"
+            what = f"an object with {columns}, which all but single environments need, {found}"
             check(name, hasattr(piece, columns), what)
         self.engine, self.observation, self.reward = engine, observation, reward
         self.turned = turned and has_move_order(observation)
@@ -543,7 +545,7 @@ class Player:
         if fast.observation:
             see_paper(engine.static, engine.dynamic, fast.via_capacity, problems, agents, out)
         else:
-            self.observation.write(engine, problems, agents, out)
+            write_rows(self.observation, engine, problems, agents, out)
 
     def _look(self, which: NDArray[np.bool_] | None) -> None:
         """Writes what agents see now, in all problems or where ``which`` (M,) is true."""

@@ -81,6 +81,8 @@ def register(kind: str, name: str, cls: type[Any] | str) -> None:
     _check_kind(kind)
     if not name or ":" in name:
         raise InputError(f"{kind}: expected a name without a colon, found {name!r}")
+    if not isinstance(cls, type | str):
+        raise InputError(f"{kind}: expected a class or module:Class, found {cls!r}")
     # The package may register its own pieces after the user did.
     paths = {_path(cls), _path(_registered[kind].get(name, cls))}
     if len(paths) > 1 and any(path.startswith(_PACKAGE) for path in paths):

@@ -230,8 +230,8 @@ class TeamReward(CostReward):
 class DifferenceReward(CostReward):
     """Pays the net that moves by how much its move reduces the cost of the problem.
 
-    The rewards of all nets add up to the reduction of the cost over an episode. A net pays nothing
-    for standing in the way of others; see :class:`CounterfactualReward`.
+    The rewards of all nets add up to the reduction of the cost over an episode. A net is not
+    charged for blocking others; see :class:`CounterfactualReward`.
     """
 
     @property
@@ -242,7 +242,7 @@ class DifferenceReward(CostReward):
 
 @dataclass(frozen=True)
 class CounterfactualReward(CostReward):
-    """Pays every net for the cost of the problem with this net minus the cost without it.
+    """Pays every net for reducing its share: the cost of the problem minus that without the net.
 
     This is the difference reward of Wolpert and Tumer (2001) and Devlin et al. (2014). The cost
     that net i accounts for is the cost of the state minus that of the state without net i, where
@@ -400,7 +400,7 @@ def _pay_others(
     now, then = games.remaining[m], before.remaining[m]
     changed = edges[(now != then) & (np.minimum(now, then) < 0)]
     failed = games.agents["ending"][m, n] == Ending.FAILED
-    shut_in = failed and not _reaches(games, m, n, now)
+    shut_in = failed and not games.overflow_allowed and not _reaches(games, m, n, now)
     if not (len(changed) or shut_in):
         return
     for other in np.flatnonzero(games.nets[m] != NOBODY).tolist():

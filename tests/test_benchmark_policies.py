@@ -204,7 +204,7 @@ def test_own_policies_are_rows(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 REFUSED = {
-    "own:Lies": r"Liar.local_radius: expected that agents see no further than 1 Gcells",
+    "own:Lies": r"Liar.local_radius: expected agents to see no further than 1 Gcells",
     "own:Later": r"turn_order: expected round_robin, as gates-8x7-v0 is played, found sequential",
     "own:Sees": r"own:Sees: expected a class with a method route or moves, or a learner",
     "own:First other=1": "other",
@@ -247,7 +247,7 @@ def test_what_is_refused(router: str, capsys: pytest.CaptureFixture[str]) -> Non
         ),
         (
             ["--scenario", "toy-4x4-v0", "--router", "own:First"],
-            r"own-First.router: expected one with a method route, or only scenarios with a known ",
+            r"own-First.router: expected one with a method route: moves alone play only scenarios ",
         ),
     ],
 )

@@ -308,3 +308,10 @@ def test_supersuit_refuses_agents_that_die_without_black_death() -> None:
 
     with pytest.raises(AssertionError, match=r"black_death|agent death"):
         play()
+
+
+def test_an_action_that_is_missing_is_named() -> None:
+    env = global_routing_v0.parallel_env()
+    env.reset(seed=0)
+    with pytest.raises(KeyError, match="step: expected an action for net_0"):
+        env.step({})

@@ -21,7 +21,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
 
 from marouting import ENVIRONMENT_ID, InputError, PaperObservation, generate, global_routing_v0
-from marouting.game import NOBODY
+from marouting.game import NOBODY, Status
 from marouting.vector import BatchEnv
 from policies.cli.main import status
 from policies.experiment import experiment
@@ -246,7 +246,7 @@ def test_sb3_steps_the_games_of_the_parallel_environment() -> None:
                 paid[row] += pay[name]
                 moves_made[row] += was_active[row]
                 over = was_active[row] and not (one.agents and told[name]["active"])
-                assert dones[row] == over
+                assert dones[row] == (over or not one.agents)  # a wait ends with the game
                 if not over:
                     assert infos[row] == {}
                     continue
@@ -267,6 +267,26 @@ def test_sb3_steps_the_games_of_the_parallel_environment() -> None:
             else:
                 seen[game] = there, told
     assert ends >= 20
+    env.close()
+
+
+@pytest.mark.parametrize("persists", [False, True])
+def test_sb3_pays_agents_that_wait_only_if_they_stay(persists: bool) -> None:
+    pytest.importorskip("stable_baselines3")
+    from policies.integrations.sb3 import RoutingVecEnv
+
+    env = RoutingVecEnv([PROBLEM] * 2, max_steps=6, reward="team", agents_persist=persists)
+    env.reset()
+    rng = np.random.default_rng(0)
+    paid = ends = silent = 0
+    for _ in range(60):
+        waits = env.batch.engine.agents["status"].ravel() != Status.ACTIVE
+        _, rewards, dones, infos = env.step(rng.integers(6, size=env.num_envs))
+        paid += np.abs(rewards[waits]).sum()
+        ends += dones.sum()
+        silent += sum(not info for done, info in zip(dones, infos, strict=True) if done)
+    assert ends > silent
+    assert (paid > 0) == persists == (silent == 0)
     env.close()
 
 

@@ -8,6 +8,7 @@ import contextlib
 import copy
 import itertools
 from collections.abc import Sequence
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -32,7 +33,7 @@ from policies.learned.algorithms.ppo import PPO, PPOOptions, losses
 from policies.learned.compiled.products import product, product_row
 from policies.learned.counter_rng import keys, uniform, uniforms
 from policies.learned.exploration import Exploration
-from policies.learned.learner import Learner, Setup
+from policies.learned.learner import Learner, Setup, new_network
 from policies.learned.memory.pre_step import PreStep
 from policies.learned.memory.replay import Batch, Replay
 from policies.learned.memory.rollout import Rollout, shuffled
@@ -227,6 +228,43 @@ def test_a_stack_is_its_networks_one_by_one(kind: str, count: int) -> None:
         before = stack.view(obs)[[0, 2]].detach()
         stack.keep(np.array([0, 2]))
         torch.testing.assert_close(stack.view(obs[[0, 2]]), before)
+
+
+class RandomBuffer(Scaled):
+    """A projection that is not saved."""
+
+    def __init__(self, obs_shape: tuple[int, ...], outputs: int) -> None:
+        super().__init__(obs_shape, outputs)
+        self.register_buffer("drawn", torch.rand(obs_shape))
+
+
+class Dropping(Scaled):
+    def __init__(self, obs_shape: tuple[int, ...], outputs: int) -> None:
+        super().__init__(obs_shape, outputs)
+        self.inner.append(nn.Dropout(0.5))
+
+
+class Normed(Scaled):
+    def __init__(self, obs_shape: tuple[int, ...], outputs: int) -> None:
+        super().__init__(obs_shape, outputs)
+        self.inner.append(nn.BatchNorm1d(outputs))
+
+
+@pytest.mark.parametrize(
+    ("network", "expected"),
+    [
+        (RandomBuffer, "expected buffers without random numbers, found drawn"),
+        (Dropping, "expected layers that work alike in training and in play, found Dropout"),
+        (Normed, "expected layers that work alike in training and in play, found BatchNorm1d"),
+    ],
+)
+def test_networks_that_cannot_be_saved_or_played_as_trained_are_refused(
+    network: type[nn.Module], expected: str
+) -> None:
+    for made, error in ((network, expected), (Scaled, "")):
+        options = SimpleNamespace(network=SimpleNamespace(make=made))
+        with pytest.raises(InputError, match=error) if error else contextlib.nullcontext():
+            assert not new_network(options, (FEATURES,), MOVES).training
 
 
 def test_dueling_adds_advantages_over_their_mean() -> None:

@@ -116,7 +116,7 @@ class Modest(WindowObservation):
 @pytest.mark.parametrize("seen", ["active", "targets", "pins", "used"])
 def test_what_everybody_does_is_not_seen_from_one_place(seen: str) -> None:
     engine = played(generate(1, nets=8, seed=1), 5, 0)
-    expected = r"^Crowd\.local_radius: expected that agents see no further than 0 Gcells, found"
+    expected = r"^Crowd\.local_radius: expected agents to see no further than 0 Gcells; agent"
     with pytest.raises(InputError, match=expected):
         check_local(Crowd(seen), engine)
 
@@ -125,13 +125,13 @@ def test_what_everybody_does_is_not_seen_from_one_place(seen: str) -> None:
 def test_a_window_cannot_be_larger_than_it_says(channel: Any) -> None:
     rip_up = {"rounds": 1, "choose": "history"}
     engine = played(generate(1, nets=8, seed=1), 3, 0, rip_up=rip_up, message_bits=1)
-    with pytest.raises(InputError, match=r"^Boasting\.local_radius: expected that agents see"):
+    with pytest.raises(InputError, match=r"^Boasting\.local_radius: expected agents to see"):
         check_local(Boasting(2, 0, (channel,)), engine)
 
 
 def test_predicted_demand_is_not_local() -> None:
     engine = played(generate(1, nets=8, seed=1), 3, 0)
-    with pytest.raises(InputError, match=r"^Modest\.local_radius: expected that agents see"):
+    with pytest.raises(InputError, match=r"^Modest\.local_radius: expected agents to see"):
         check_local(Modest(2, 0, ("demand",)), engine)
     assert local_radius_of(WindowObservation(2, 0, ("capacity", "demand"))) is None
     assert local_radius_of(WindowObservation(2, 0, ("capacity",))) == 2

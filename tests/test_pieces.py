@@ -26,6 +26,7 @@ from marouting import (
     PaperObservation,
     PaperReward,
     Problem,
+    generate,
     global_routing_v0,
     registry,
 )
@@ -362,7 +363,7 @@ def test_the_simple_forms_of_pieces() -> None:
     single.reset()
     assert [single.step(4)[1], single.step(5)[1]] == [2, 4]
     for name in pieces:
-        with pytest.raises(InputError, match=rf"{name}: expected .* for the batch"):
+        with pytest.raises(InputError, match=rf"{name}: expected .* single environments"):
             BatchEnv([problem], **{name: pieces[name]})
 
 
@@ -477,8 +478,11 @@ def test_a_registered_name_stands_wherever_a_piece_does() -> None:
         ({"observation": ""}, "observation.kind: expected a name, found ''"),
         ({"reward": {"kind": None}}, "reward.kind: expected a name, found None"),
         ({"observation": {"radius": 3}}, "expected one of via_capacity for the observation paper"),
-        ({"observation": Crowd}, "observation: expected a name or a mapping with kind, found <cl"),
-        ({"reward": Team}, "reward: expected a name or a mapping with kind, found <class"),
+        (
+            {"observation": Crowd},
+            "observation: expected a name, a mapping with kind, or an object in",
+        ),
+        ({"reward": Team}, "reward: expected a name, a mapping with kind, or"),
         ({"observation": {"via_capacity": -1}}, "via_capacity: expected a number from 0"),
     ],
 )
@@ -517,3 +521,31 @@ def test_names_of_the_package_stay_its_own() -> None:
     marouting.register("network", "late-of-this-test", Team)
     with pytest.raises(InputError, match="found 'late-of-this-test'"):
         marouting.register("network", "late-of-this-test", "policies.learned.networks.mlp:MLP")
+
+
+class Returns(PaperObservation):
+    """It gives rows of its own instead of filling those that it gets."""
+
+    def write(self, *given: Any) -> Any:
+        return np.ones_like(given[-1])
+
+
+@pytest.mark.parametrize("make", [global_routing_v0.env, global_routing_v0.parallel_env])
+def test_rows_that_are_returned_are_refused(make: Any) -> None:
+    error = "observation: expected Returns.write to fill its argument out, and to return nothing"
+    env = make(observation=Returns())
+
+    def begin() -> None:
+        env.reset()
+        if env.unwrapped.agents and hasattr(env, "last"):
+            env.last()
+
+    with pytest.raises(InputError, match=error):
+        begin()
+    with pytest.raises(InputError, match=error):
+        BatchEnv(generate(2), observation=Returns()).reset()
+
+
+def test_only_classes_have_names() -> None:
+    with pytest.raises(InputError, match="reward: expected a class or module:Class, found Pap"):
+        marouting.register("reward", "object", PaperReward())

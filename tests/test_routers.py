@@ -40,7 +40,7 @@ from policies.learned.policy import TrainedPolicy
 from policies.learned.router import LearnedRouter
 from policies.learned.trainer import Episode, Trainer
 from policies.routers.astar import AStarRouter
-from policies.routers.base import Policy, warm_up
+from policies.routers.base import Policy, solve, warm_up
 from policies.routers.greedy import GreedyRouter
 from policies.routers.random import RandomRouter
 
@@ -499,3 +499,14 @@ def test_no_router_compiles_in_the_seconds_of_a_route() -> None:
     assert done.stdout.splitlines() == [f"{number} []" for number in range(len(routers))], (
         done.stderr
     )
+
+
+class Nothing:
+    def route(self, problem: Problem) -> Any:
+        """Forgets to return the solution."""
+
+
+def test_what_is_no_solution_is_refused() -> None:
+    error = "Nothing: expected a marouting.Solution from route, found None"
+    with pytest.raises(InputError, match=error):
+        solve(Nothing(), generate(1)[0])

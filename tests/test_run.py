@@ -79,6 +79,9 @@ def config_in(folder: Path, episodes: int = 20, kind: str = "dqn", **options: An
         for part, schema in (("env", EnvOptions), ("train", TrainOptions))
     }
     train = {"tensorboard": False, "figures": False, "evaluate_every": 3, **fields["train"]}
+    small = {**SMALL.get(kind, SMALL["dqn"])}
+    if "games" in train:
+        small.pop("num_envs", None)
     raw = {
         "seed": options.pop("seed", 0),
         "out": str(folder),
@@ -86,7 +89,7 @@ def config_in(folder: Path, episodes: int = 20, kind: str = "dqn", **options: An
         "learner": {
             "kind": kind,
             "network": {"hidden": [8]},
-            **SMALL.get(kind, SMALL["dqn"]),
+            **small,
             **options,
         },
         "train": {"episodes": episodes, **train},
@@ -263,7 +266,8 @@ def test_a_training_with_rules_of_its_own_has_no_score(
     told = capsys.readouterr()
     said = "not scored on gates-8x7-v0: overflow: expected forbidden, as gates-8x7-v0 is played"
     assert said in told.err
-    assert "next: marouting benchmark --scenario gates-8x7-v0" in told.out
+    assert told.err.endswith("nothing was learned: the training ended before its first update\n")
+    assert "next:" not in told.out  # a benchmark would refuse it
     assert "score" not in told.out
 
 
@@ -305,7 +309,7 @@ def test_a_training_across_problems_ends_with_means(
     shown = capsys.readouterr().out
     assert "run: means over 20 validation problems" in shown
     assert "validation_000" not in shown
-    following, validation, test = shown.splitlines()[-3:]
+    validation, test, following = shown.splitlines()[-3:]
     assert following == "next: marouting benchmark --scenario toy-4x4-v0 --router run"
     assert validation.startswith("toy-4x4-v0 validation: cost ")
     assert test.startswith("toy-4x4-v0 test: cost ")
@@ -512,8 +516,8 @@ def test_tensorboard_shows_gaps_to_a_reference(tmp_path: Path) -> None:
         replace(first, problem="r", episode=1, wirelength=20, best=False),
     ]
     walked = [
-        GreedyEvaluation("p", 2, 3, 3, 0, 20, 9, True),
-        GreedyEvaluation("q", 2, 2, 3, 0, 9, 9, True),
+        GreedyEvaluation("p", 2, 50, 3, 3, 0, 20, 9, True),
+        GreedyEvaluation("q", 2, 50, 2, 3, 0, 9, 9, True),
     ]
     reference = {"p": (0, 20), "q": (0, 20)}  # of r nothing is known
     with Logs(tmp_path, (0, 0), True, ("p", "q", "r"), reference) as logs:
@@ -1034,6 +1038,21 @@ LONGER: dict[str, dict[str, Any]] = {
     "ppo": {"kind": "ppo", "anneal": False, "num_envs": 1, "problem": {**PROBLEMS, "count": 1}},
     "drawn": {**STEADY, "shared": True, "games": 1, "problem": DRAWN},
 }
+
+
+def test_games_side_by_side_are_given_once(tmp_path: Path) -> None:
+    drawn = {"kind": "ppo", "shared": True, "problem": DRAWN, "games": 2}
+    with pytest.raises(InputError, match=r"learner\.num_envs: expected no number"):
+        Run(config_in(tmp_path, **drawn, num_envs=3))
+
+
+def test_evaluations_tell_for_how_many_moves_the_network_was_trained(tmp_path: Path) -> None:
+    config = config_in(tmp_path, 9, kind="ppo", shared=True, problem=DRAWN, games=2)
+    run = Run(config)
+    run.execute()
+    steps = list(dict.fromkeys(walk["agent_steps"] for walk in walks(tmp_path)))
+    assert 0 < steps[0] < steps[-1] == run.trainer.steps.sum()
+    assert steps == sorted(steps)
 
 
 @pytest.mark.parametrize("options", LONGER.values(), ids=LONGER)

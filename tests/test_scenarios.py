@@ -959,7 +959,7 @@ def test_own_references(own: Scenario, tmp_path: Path, monkeypatch: pytest.Monke
     unknown = evaluate_policy(first, "corridor-v0")
     assert (unknown.cost, unknown.score, unknown.gap, unknown.compared) == (None, None, None, 0)
     assert all((row.reference, row.score, row.gap) == (None,) * 3 for row in unknown.rows)
-    assert str(unknown).startswith("corridor-v0 test: without references no score, ")
+    assert str(unknown).startswith("corridor-v0 test: no score without references, ")
     monkeypatch.setattr(own, "references", tmp_path / "corridor.json")
     assert len(list(solve_scenario("corridor-v0", Effort(seconds=20)))) == 9
     assert own.has_references("test")
@@ -1035,7 +1035,7 @@ def test_commands_take_scenarios_of_modules(lanes: str, capsys: pytest.CaptureFi
     routers = [word for name in ("local", "astar") for word in ("--router", name)]
     assert status([*benchmark, *routers, "--json"]) == 0
     told = capsys.readouterr()
-    assert told.err.count("lanes-v0: without references no score and no gap; docs/") == 1
+    assert told.err.count("lanes-v0: no score and no gap without references; docs/") == 1
     for row in json.loads(told.out)["rows"]:
         assert [row[key] for key in ("score", "gap", "at_reference")] == [None] * 3
         assert row["wins"] + row["ties"] + row["losses"] == 3
@@ -1065,7 +1065,7 @@ def test_commands_take_scenarios_of_modules(lanes: str, capsys: pytest.CaptureFi
         file.unlink()
     references_in.cache_clear()
     assert status(["train", "--resume", "run", "--allow-code"]) == 0
-    assert "without references no score" in capsys.readouterr().out
+    assert "no score without references" in capsys.readouterr().out
     config = parse_yaml(Path("run/config.yaml").read_text(encoding="utf-8"), "config.yaml")
     assert config["env"]["scenario"] == lanes
     assert config["env"]["mask"]["visited"] is True

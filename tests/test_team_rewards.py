@@ -238,9 +238,28 @@ def shut_in_by(game: Game, n: int) -> list[int]:
                         reached.add(ahead)
         return game.target[n] in reached
 
-    if reaches(NOBODY):
+    if game.overflow_allowed or reaches(NOBODY):  # where no edge is closed, nobody is in the way
         return []
     return [other for other in range(len(game.nets)) if other != n and reaches(other)]
+
+
+def test_nobody_stands_in_the_way_where_overflow_is_allowed() -> None:
+    """The same two nets: the second may cross the full edge, and fails because it does not."""
+    nets = Net("a", 0, (Pin(0, 0, 1), Pin(1, 0, 1))), Net("b", 1, (Pin(0, 0, 1), Pin(1, 0, 1)))
+    problem = Problem((2, 1, 1), (0,), (1,), nets, (1,), (0,), (0,))
+    options = {"max_steps": 2, "overflow": "allowed", "release_failed": True}
+    reward = {"kind": "counterfactual", "open": 20}
+    env = BatchEnv([problem], reward=reward, **options)
+    parallel = global_routing_v0.parallel_env(
+        problem, reward=reward, agents_persist=True, **options
+    )
+    env.reset()
+    parallel.reset()
+    for moves in ([0, 1], [0, 1]):  # net a goes east, net b west, where the grid ends
+        paid = env.step(np.array([moves], np.int8))[1]
+        _, rewards, *_ = parallel.step(dict(zip(["net_0", "net_1"], moves, strict=True)))
+        assert paid.tolist() == [list(rewards.values())]
+    assert paid.tolist() == [[0, 0]]
 
 
 def test_who_stands_in_the_way_is_charged() -> None:

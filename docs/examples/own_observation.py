@@ -1,8 +1,8 @@
 """An own observation: the same 12 numbers as the paper's, and how crowded the grid is around.
 
 An observation is any class with the two methods of ``marouting.Observation``. It works in every
-face of the environment, in the batch and in trainings; in YAML, which takes ``--allow-code``, it
-goes by its module and class::
+interface of the environment, in the batch and in training. In YAML, which takes ``--allow-code``,
+it goes by its module and class::
 
     env:
       observation: {kind: "own_observation:CrowdedObservation", radius: 2}
@@ -31,11 +31,11 @@ class CrowdedObservation:
         most = np.float32(max(len(problem.nets) for problem in problems))
         return Box(np.append(inner.low, np.float32(0)), np.append(inner.high, most))
 
-    def write(self, engine, problems, agents, out):
+    def write(self, games, problems, agents, out):
         """Fills a row of ``out`` (K, 13) for each of K agents; −1 stands for no agent."""
-        self.paper.write(engine, problems, agents, out[:, :-1])
-        x_y = engine.static.position[engine.agents["cell"], :2]  # (M, N, 2)
-        active = engine.agents["status"] == 0  # (M, N)
+        self.paper.write(games, problems, agents, out[:, :-1])
+        x_y = games.grid.position[games.agents["cell"], :2]  # (M, N, 2)
+        active = games.agents["status"] == 0  # (M, N)
         own = x_y[problems, agents]  # (K, 2)
         near = (np.abs(x_y[problems] - own[:, None]) <= self.radius).all(axis=2)  # (K, N)
         others = (near & active[problems]).sum(axis=1) - active[problems, agents]

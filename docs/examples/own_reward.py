@@ -24,14 +24,14 @@ class TeamReward:
     def __init__(self, joined: float = 10.0, wire: float = 1.0) -> None:
         self.joined, self.wire = joined, wire
 
-    def __call__(self, game, before, movers):
+    def __call__(self, games, before, movers):
         """(M, N) what the moves of ``movers`` (M,) pay the N agents of each problem."""
         del movers  # everybody is paid, whoever moved
-        now, then = game.games, before.games  # (M,) records
+        now, then = games.games, before.games  # (M,) records
         joined = now["joined"] - then["joined"]
         wire = now["wirelength"] - then["wirelength"]
         paid = self.joined * joined - self.wire * wire
-        return np.broadcast_to(paid[:, None], game.agents.shape)
+        return np.broadcast_to(paid[:, None], games.agents.shape)
 
 
 if __name__ == "__main__":

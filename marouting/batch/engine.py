@@ -203,6 +203,11 @@ class Engine:
         return self.static.max_steps
 
     @property
+    def overflow_allowed(self) -> bool:
+        """Whether moves cross full edges."""
+        return bool(self.static.overflow_allowed)
+
+    @property
     def actions(self) -> int:
         """How many actions an agent has; see :class:`marouting.rules.Rules`."""
         return self.rules.actions

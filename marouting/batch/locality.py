@@ -56,9 +56,8 @@ def check_local(
         observation.write(engine, first + np.int32(m), who, rows[0])
         observation.write(_changed(engine, m, n, radius, rng), first, who, rows[1])
         if not np.array_equal(rows[0], rows[1], equal_nan=True):
-            expected = f"expected that agents see no further than {radius} Gcells"
-            found = f"found that agent {n} of problem {m} does"
-            raise InputError(f"{name}.local_radius: {expected}, {found}")
+            expected = f"expected agents to see no further than {radius} Gcells"
+            raise InputError(f"{name}.local_radius: {expected}; agent {n} of problem {m} does")
 
 
 def _changed(engine: Engine, m: int, n: int, radius: int, rng: np.random.Generator) -> Engine:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from marouting.batch.bits import next_in
-from marouting.batch.edges import demand_of, has_room, uses
+from marouting.batch.edges import demand_of, may_cross, uses
 from marouting.batch.observation import paper_reward
 from marouting.batch.places import distance
 from marouting.batch.rules import may_move, move_agent, move_of
@@ -203,8 +203,8 @@ def _reach(
 def _could_cross(
     static: Static, dynamic: Dynamic, m: int, n: int, cell: int, move: int, without: int
 ) -> bool:
-    """Whether a move of agent n has room, or would have it if another agent's edges were free."""
-    if has_room(static, dynamic, m, n, cell, move):
+    """Whether a move of agent n crosses its edge, or would if another agent's edges were free."""
+    if may_cross(static, dynamic, m, n, cell, move):
         return True
     edge = as_index(static.edge[cell, move])
     if without == NOBODY or not uses(dynamic.used, m, as_index(without), edge):

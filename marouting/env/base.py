@@ -15,7 +15,14 @@ from numpy.typing import NDArray
 from marouting.columns import Columns
 from marouting.game import ACTIVE, NOBODY, Game, mask_table
 from marouting.memory import PLAYED, STATE, TABLES, check_memory
-from marouting.observations import has_form, seen_by, space_of, state_of, state_space_of
+from marouting.observations import (
+    has_form,
+    seen_by,
+    space_of,
+    state_of,
+    state_space_of,
+    write_rows,
+)
 from marouting.options import Agents, game_options
 from marouting.problem.grid import Grid
 from marouting.problem.solution import Solution
@@ -180,9 +187,9 @@ class GameEnv(EzPickle):
         """(K, *S) new observations of many agents, or NOBODY."""
         if not hasattr(self._observation, "write"):
             return np.array([self._see(agent) for agent in agents], np.float32)
-        out = np.empty((len(agents), *self._box.shape), np.float32)
+        out = np.zeros((len(agents), *self._box.shape), np.float32)
         rows = np.zeros(len(agents), np.int32), np.array(agents, np.int32)
-        self._observation.write(self._columns, *rows, out)
+        write_rows(self._observation, self._columns, *rows, out)
         return out
 
     def _shown(self, agent: int) -> Any:

@@ -89,7 +89,10 @@ class GlobalRoutingParallel(NetEnv, ParallelEnv):
         """
         self._check_begun()
         agents, numbers, game = self.agents, self._numbers, self.game
-        moves = _moves([actions[agent] for agent in agents], agents, self._actions)
+        try:
+            moves = _moves([actions[agent] for agent in agents], agents, self._actions)
+        except KeyError as error:
+            raise KeyError(f"step: expected an action for {error.args[0]}") from None
         rewards, ended = self._move_all(dict(zip(numbers, moves, strict=True)))
         observations, infos = self._look(first=False)
         for n, told in ended.items():

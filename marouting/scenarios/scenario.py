@@ -264,8 +264,10 @@ class Scenario:
                 problem = self._draw(f"{split}/{number}", known, self._accept)
                 known.add(self._digest(problem))
                 fixed[split][f"{split}_{number:03d}"] = problem
-        if len({problem.grid for of in fixed.values() for problem in of.values()}) > 1:
-            raise InputError(f"{self.name}: expected problems with one grid shape")
+        grids = {problem.grid for of in fixed.values() for problem in of.values()}
+        if len(grids) > 1:
+            shapes = " and ".join(str(grid) for grid in sorted(grids)[:2])
+            raise InputError(f"{self.name}: expected problems with one grid shape, found {shapes}")
         return fixed
 
     @functools.cached_property

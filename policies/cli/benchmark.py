@@ -124,9 +124,9 @@ def benchmark(
     it. In the scenarios of docs/cooperation.md nets decide for themselves, and it is 0 for the best
     local rule; learners are trained once, on the scenario's training problems. Each router gets a
     result file OUT/SCENARIO.NAME.json. A benchmark that was stopped continues when the same command
-    is given again. KEY=VALUE changes a key of --config, or an option of a single --router; jobs=N
-    sets the number of processes (default: one per core), and engine=ray distributes the work with
-    Ray.
+    is given again. KEY=VALUE changes a key of the file in --config; without --config, it is an
+    option of the one --router. jobs=N sets the number of processes (default: one per core), and
+    engine=ray distributes the work with Ray.
     """
     if leaderboard is not None:
         from policies.experiment.leaderboard import write_leaderboard
@@ -210,7 +210,7 @@ def benchmark(
     )
     for of in chosen:
         if not scenarios.get(of).has_references(cast(Split, split)):
-            told = "without references no score and no gap; docs/scenarios.md says how to get them"
+            told = "no score and no gap without references; docs/scenarios.md says how to get them"
             click.echo(f"{of}: {told}", err=True)
     with problems_bar("benchmark") as watch:
         files = run.execute(watch)["files"]

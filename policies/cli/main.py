@@ -10,6 +10,7 @@ import contextlib
 import io
 import json
 import os
+import shlex
 import sys
 import threading
 import time
@@ -506,6 +507,12 @@ def train(
             show(rows, str(run.folder))
         for result in standing:
             click.echo(result)
+        if standing:
+            folder = shlex.quote(str(run.folder))
+            command = f"marouting benchmark --scenario {settings.env.scenario} --router {folder}"
+            click.echo(f"next: {command}")
+        if not run.updates:
+            click.echo("nothing was learned: the training ended before its first update", err=True)
 
     if run.finished is not None:
         click.echo(f"{resume}: already finished; train.episodes=N adds episodes", err=True)

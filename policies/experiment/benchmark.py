@@ -405,15 +405,14 @@ def validation_scores(run: Path, scenario: str) -> list[tuple[int, float]]:
     """Agent-steps and the score on the validation problems, of each evaluation of a training."""
     found = scenarios.get(scenario)
     best = {name: found.reference(of) for name, of in found.problems("validation").items()}
-    steps = np.cumsum([0, *(episode.steps for episode in read_episodes(run / METRICS))])
     costs: dict[int, list[float]] = {}
     for walk in read_evaluations(run / EVALUATIONS):
         cost = found.cost(walk.wirelength, walk.tasks - walk.joined, walk.overflow)
-        costs.setdefault(walk.episodes, []).append(cost)
+        costs.setdefault(walk.agent_steps, []).append(cost)
     least = sum(reference.wirelength for reference in best.values())
     return [
-        (int(steps[min(episodes, len(steps) - 1)]), found.score(sum(own) / least, "validation"))
-        for episodes, own in costs.items()
+        (steps, found.score(sum(own) / least, "validation"))
+        for steps, own in costs.items()
         if len(own) == len(best)
     ]
 

@@ -281,7 +281,8 @@ class Experiment:
             if [{key: row[key] for key in own[0]} for row in found] != own:
                 raise InputError(
                     f"{part.rows}: expected rows of {part.set}, {part.label}, "
-                    f"{', '.join(part.problems)}"
+                    f"{', '.join(part.problems)}; the results in this folder are of other options, "
+                    "or of a scenario without a best local rule: give another --out"
                 )
             for row in found:
                 rows[part.set, row["problem"], part.entry.name, part.seed] = row
@@ -325,7 +326,7 @@ def _shares(
         check(f"{where}.scenario", found == entry.zero_shot, what)
     if scenario is None and entry.plays and not is_learner(entry.router):
         known = hasattr(lookup("router", entry.router), "route")
-        what = f"one with a method route, or only scenarios with {RULE_COST}"
+        what = f"one with a method route: moves alone play only scenarios with {RULE_COST}"
         check(f"{where}.router", known, what)
     if not entry.routes or (scenario is not None and entry.plays):
         return [tuple(problems)]

@@ -172,11 +172,11 @@ POLICY_NOTES = (
     "**Score**: 0 for the best local rule, 1 for the optimum; interquartile mean "
     "over the seeds with its 95 % bootstrap interval. **Cost**: wirelength and open tasks, divided "
     "by the optimum's wirelength; interquartile mean over the seeds. **Solved**: problems without "
-    "open tasks. **Connected**: tasks. **Gap**: mean wirelength above the optimum, of the solved "
-    "problems. **Sees**: what a net sees when it chooses, verified for radii. Planners see the "
-    "whole problem: they are bounds, no competitors. **Teacher**: whether it learned from a router "
-    "with sight of the whole problem. **Agent-steps** and **training** (processor time): of one "
-    "seed."
+    "open tasks. **Connected**: share of the tasks. **Gap**: mean wirelength above the optimum, of "
+    "the solved problems. **Sees**: what a net sees when it chooses, verified for radii. Planners "
+    "see the whole problem: they are bounds, not competitors. **Teacher**: whether it learned from "
+    "a router with sight of the whole problem. **Agent-steps** and **training** (processor time): "
+    "of one seed."
 )
 """What the columns of policies mean."""
 

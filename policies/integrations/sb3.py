@@ -37,9 +37,11 @@ class RoutingVecEnv(VecEnv):
     """All nets of M games, each as an environment of its own: M·N of them, for one shared policy.
 
     An agent's episode ends when all its tasks have ended. It then waits for the end of its game: it
-    sees zeros, its mask has a single move, which does nothing, and it is paid nothing. When the
-    game is over, all its agents begin again. With ``everyone=False`` a game is one environment,
-    whose episode ends with the game.
+    sees zeros, its mask has a single move, which does nothing, and it is paid nothing. This wait is
+    an episode of its own, with nothing in its info. When the game is over, all its agents begin
+    again. With ``agents_persist=True`` an agent's episode ends with the game, and while it waits it
+    is paid by rewards that pay nets for what others do, such as ``team``. With ``everyone=False`` a
+    game is one environment, whose episode ends with the game.
 
     What SB3 logs needs no ``VecMonitor``: at the end of an episode its info has ``episode``
     (rewards, moves), ``is_success`` (all tasks joined; of a whole game, also without overflow),
@@ -90,7 +92,7 @@ class RoutingVecEnv(VecEnv):
         """Makes the moves; (M·N, *S) observations, (M·N,) rewards and ends, and M·N infos."""
         obs, paid, terminated, truncated, info = self.batch.step(self._actions)
         over = info["over"].copy()
-        reward = paid.ravel().copy()
+        reward = np.where(self._done, np.float32(0), paid.ravel())
         self._return += reward
         self._length += info["acted"].ravel()
         self.taken.agent_steps += int(info["acted"].sum())
@@ -119,7 +121,7 @@ class RoutingVecEnv(VecEnv):
             self._done[np.repeat(over, self._rows)] = False
         begun = done if not self._everyone else np.repeat(over, self._rows)
         self._return[begun] = self._length[begun] = 0
-        return self._seen(obs, info), reward, done, infos
+        return self._seen(obs, info), reward, done | begun, infos
 
     def _seen(self, obs: NDArray[np.float32], info: Info) -> NDArray[np.float32]:
         """Observations, zeros for agents that wait for the end of their game."""

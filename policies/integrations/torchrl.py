@@ -34,9 +34,9 @@ GROUP = "nets"
 class RoutingEnv(EnvBase):
     """M games, in each of which every net is an agent of one group, ``nets``.
 
-    Agents stay to the end of their game: once all tasks of one have ended, it sees zeros, its mask
-    has a single move, which does nothing, and it is paid nothing. A game ends, ``terminated``, when
-    all its agents are done.
+    Agents stay to the end of their game: once all tasks of one have ended, it sees zeros and its
+    mask has a single move, which does nothing. Rewards that pay nets for what others do still pay
+    it. A game ends, ``terminated``, when all its agents are done.
 
     ======================================  ===================  ==================================
     ``("nets", "observation")``             (M, N, *S) float32   what agents see

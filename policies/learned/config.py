@@ -33,8 +33,8 @@ class TrainOptions:
 
     Attributes:
         episodes: episodes per problem; in one, all nets route all their two-pin tasks.
-        steps: moves of all agents after which a training ends whose games draw problems;
-            ``episodes`` is then the most episodes. None: it ends after ``episodes``.
+        steps: the training ends after this many moves of all agents together, if its games draw
+            problems; ``episodes`` is then the most episodes. None: it ends after ``episodes``.
         seconds: processor time after which such a training ends, whatever is left of its steps.
             None: no bound. The same seed does then not give the same network.
         shared: whether one network learns all problems; otherwise each problem has its own. None:
@@ -51,9 +51,9 @@ class TrainOptions:
         validation: number of problems that the network is evaluated on, the first ones of the
             validation split or new ones of the generator; None: all of the split, 10 of the
             generator.
-        best: which episode's routes are the solution, the earliest of the best: ``routes``, by
-            tasks joined, then overflow, then wirelength; or ``reward``, by tasks joined, then
-            reward (the authors' code).
+        best: how the best episode is chosen, whose routes are the solution (of equal ones the
+            first): ``routes``, by tasks joined, then overflow, then wirelength; or ``reward``, by
+            tasks joined, then reward (the authors' code).
         evaluate_every: episodes per problem between two evaluations of the network: it plays one
             episode without exploration.
         start: initial weights of the same shape: a ``policy.pt`` or checkpoint (if it holds several

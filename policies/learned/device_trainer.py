@@ -117,6 +117,11 @@ class DeviceTrainer:
         made = int(self.steps[0]) / train.steps if train.steps else 0.0
         return max(share, made, self.spent)
 
+    @property
+    def updates(self) -> NDArray[np.int64]:
+        """(1,) updates of the network so far."""
+        return np.array([self.ppo.updates], np.int64)
+
     def run(self) -> Iterator[list[Episode]]:
         """Trains to the end; after every rollout, yields one of the episodes that ended."""
         if not self.steps[0]:
@@ -167,7 +172,7 @@ class DeviceTrainer:
             pass
         played = int(self.episodes[0])
         found = {name: (played, player.engine.metrics(m)) for m, name in enumerate(self.names)}
-        self.walks = self.saved.judge(0, weights, played, found)
+        self.walks = self.saved.judge(0, weights, played, int(self.steps[0]), found)
 
     @property
     def _every(self) -> int:

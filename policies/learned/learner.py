@@ -15,8 +15,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
+from torch.nn.modules.batchnorm import _BatchNorm
+from torch.nn.modules.dropout import _DropoutNd
 
-from marouting.config import Component
+from marouting.config import Component, check
 from marouting.errors import InputError
 from marouting.game import NOBODY
 from marouting.options import Agents
@@ -134,13 +136,12 @@ class Learner(PerNetworkState, abc.ABC):
     @classmethod
     def network(cls, options: Any, obs_shape: tuple[int, ...], actions: int = MOVES) -> nn.Module:
         """One of its networks, with random weights, for those that are saved to go into."""
-        module: nn.Module = options.network.make(obs_shape, actions)
-        return module
+        return new_network(options, obs_shape, actions)
 
     def _stack(self, purpose: str, sees: tuple[int, ...], outputs: int) -> Stack:
         """Its networks with random weights, by random numbers of their own for a purpose."""
         seeds = self.setup.network_keys(purpose).astype(np.int64).tolist()
-        return Stack(lambda: self.options.network.make(sees, outputs), seeds, self.device)
+        return Stack(lambda: new_network(self.options, sees, outputs), seeds, self.device)
 
     @classmethod
     def masks(cls, options: Any) -> bool:
@@ -271,3 +272,29 @@ def check_network(options: Any) -> None:
         raise InputError(
             f"learner.network: expected a class derived from torch.nn.Module, found {named.name}"
         )
+
+
+def new_network(options: Any, sees: tuple[int, ...], outputs: int) -> nn.Module:
+    """A network with random weights, in evaluation mode, in which it also learns.
+
+    Raises:
+        InputError: it has layers that work differently in training, or a buffer that is random:
+            trainings save parameters only, and make the buffers again.
+    """
+    module: nn.Module = options.network.make(sees, outputs).eval()
+    for layer in module.modules():
+        alike = not isinstance(layer, _DropoutNd | _BatchNorm)
+        what = f"layers that work alike in training and in play, found {type(layer).__name__}"
+        check("learner.network", alike, what)
+    if any(True for _ in module.buffers()):
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(_OTHER_SEED)
+            twin: nn.Module = options.network.make(sees, outputs)
+        for (name, buffer), other in zip(module.named_buffers(), twin.buffers(), strict=True):
+            what = f"buffers without random numbers, found {name}; make it a parameter"
+            check("learner.network", torch.equal(buffer, other), what)
+    return module
+
+
+_OTHER_SEED = 6007
+"""Any seed but those of networks, which are drawn."""

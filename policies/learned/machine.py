@@ -21,7 +21,9 @@ def torch_device(name: str) -> torch.device:
     try:
         device = torch.device(name)
     except RuntimeError:
-        raise InputError(f"train.device: expected cpu, cuda or cuda:1, found {name}") from None
+        device = None
+    if device is None or device.type not in ("cpu", "cuda"):
+        raise InputError(f"train.device: expected cpu, cuda or cuda:1, found {name}")
     try:
         torch.zeros(1, device=device).cpu()
     except (RuntimeError, AssertionError) as error:

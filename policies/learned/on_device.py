@@ -28,7 +28,7 @@ from marouting.problem.grid import MOVES
 from marouting.vector import BatchEnv
 from policies.learned.algorithms.ppo import PPOOptions
 from policies.learned.checkpoint import FINITE, as_rows, checked, from_rows
-from policies.learned.learner import check_network
+from policies.learned.learner import check_network, new_network
 from policies.learned.machine import torch_device
 
 _NEVER = -1e9
@@ -129,10 +129,10 @@ class DevicePPO:
         self.actions = int(env.single_action_space.n)
         check("message_bits", self.actions <= MOVES + 2, "0 on a device")
         check_network(options)
-        make = options.network.make
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
-            actor, critic = make((features,), self.actions), make((features + self.state_size,), 1)
+            actor = new_network(options, (features,), self.actions)
+            critic = new_network(options, (features + self.state_size,), 1)
         self.actor: nn.Module = actor.to(self.device)
         self.critic: nn.Module = critic.to(self.device)
         self.adam = torch.optim.Adam(

@@ -237,7 +237,6 @@ class Run:
         with allowing_code_of(self.config):
             state = read_checkpoint(path, training=True)
         try:
-            self.trainer.load_state(state, str(path))
             self._seconds, self._logged = state["seconds"], state["logged"]
             self._evaluated = state["evaluated"]
             self._processor_seconds = state["figures"]["processor_seconds"]
@@ -248,7 +247,8 @@ class Run:
                 if not (type(time_) is float and 0 <= time_ < math.inf):
                     raise InputError(f"{path}: {name}: expected a number from 0")
             self._began = time.process_time() - self._processor_seconds
-            self.trainer.spent = self.trainer.clock()
+            self.trainer.spent = self.trainer.clock()  # schedules go on from there
+            self.trainer.load_state(state, str(path))
             for name, size in (("logged", self._logged), ("evaluated", self._evaluated)):
                 if not (type(size) is int and size >= 0):
                     raise InputError(f"{path}: {name}: expected a whole number from 0")
@@ -284,6 +284,11 @@ class Run:
         with contextlib.suppress(InputError), allowing_code_of(self.config):
             told = TrainedPolicy.load(start, self.trainer.names[0]).training.get("teacher")
         return told
+
+    @property
+    def updates(self) -> int:
+        """Updates so far of the network that has had most."""
+        return int(self.trainer.updates.max())
 
     @property
     def parameters(self) -> int:

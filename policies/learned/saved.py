@@ -60,7 +60,12 @@ class SavedNetworks:
         }
 
     def judge(
-        self, row: int, weights: Tensor, episodes: int, found: Mapping[str, tuple[int, Metrics]]
+        self,
+        row: int,
+        weights: Tensor,
+        episodes: int,
+        agent_steps: int,
+        found: Mapping[str, tuple[int, Metrics]],
     ) -> list[GreedyEvaluation]:
         """Saves a network if it is to be; returns its evaluations.
 
@@ -68,6 +73,7 @@ class SavedNetworks:
             row: which network.
             weights: (P,) its weights now.
             episodes: after how many it was evaluated.
+            agent_steps: for how many it had been trained.
             found: by the problem's name, its episodes and how the network has played it.
         """
         scores = [routes_score(metrics) for _, metrics in found.values()]
@@ -79,7 +85,7 @@ class SavedNetworks:
             self.episodes[row] = episodes
             self.flat[row] = weights.detach().cpu()
         return [
-            GreedyEvaluation(name, played, best=best, **asdict(metrics))
+            GreedyEvaluation(name, played, agent_steps, best=best, **asdict(metrics))
             for name, (played, metrics) in found.items()
         ]
 

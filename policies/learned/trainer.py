@@ -102,6 +102,9 @@ class Trainer:
         source: Any = draws
         if draws is not None:
             self._copies = len(draws.counts)
+            side_by_side = getattr(learner.options, "num_envs", 1)
+            usual = side_by_side == getattr(type(learner.options), "num_envs", 1)
+            check("learner.num_envs", usual, "no number beside train.games, which replaces it")
         else:
             self._copies = int(getattr(learner.options, "num_envs", 1))
             source = [problem for problem in problems.values() for _ in range(self._copies)]
@@ -347,7 +350,8 @@ class Trainer:
                 self.names[m]: (int(played[m]), one) for m, one in zip(places, metrics, strict=True)
             }
             weights = self.learner.networks.flat[row]
-            self.walks += self.saved.judge(network, weights, int(now), found)
+            steps = int(self.steps.sum() if train.shared or self.drawn else self.steps[network])
+            self.walks += self.saved.judge(network, weights, int(now), steps, found)
 
     def solutions(self) -> dict[str, Solution]:
         """The best episode's routes of every problem that has finished one.

@@ -120,16 +120,18 @@ class GreedyEvaluation:
         problem: the problem's name.
         episodes: episodes of the problem that the network had been trained on; all of them where
             games draw their problems.
+        agent_steps: moves that the network had been trained for.
         joined: two-pin tasks joined.
         tasks: two-pin tasks in all.
         overflow: of the routes, joined or not.
         wirelength: of the routes, joined or not.
-        steps: moves made.
+        steps: moves made in this episode.
         best: whether no earlier network was better on all problems that it is for.
     """
 
     problem: Name
     episodes: Count
+    agent_steps: Count
     joined: Count
     tasks: Count
     overflow: Count

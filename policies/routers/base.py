@@ -116,7 +116,9 @@ def solve(router: Router, problem: Problem) -> tuple[Solution, dict[str, Any]]:
     if not problem.to_route.any():
         none = np.zeros(0, np.int64)
         return Solution.of_uses(problem, none, none), {"status": "optimal"}
-    if not isinstance(router, Reporter):
-        return router.route(problem), {}
-    routed = router.solve(problem)
-    return routed.solution, routed.report
+    routed = router.solve(problem) if isinstance(router, Reporter) else None
+    solution: Any = router.route(problem) if routed is None else routed.solution
+    if not isinstance(solution, Solution):
+        name = f"{type(router).__module__}:{type(router).__name__}"
+        raise InputError(f"{name}: expected a marouting.Solution from route, found {solution!r}")
+    return solution, {} if routed is None else routed.report
