@@ -7,7 +7,7 @@ start to its target, one Gcell a move. The edges that it crosses become the net'
   covers the net's demand; with ``overflow="allowed"`` any edge. From then on the net uses the edge.
 * Any other move is **blocked**: the agent stays where it is. Either way the step counts.
 * A task ends **joined** when the agent reaches the target, or **failed** after ``max_steps`` steps.
-  Then the next task begins at its own start. The net keeps the edges that it used.
+  Then the next task begins at its own start. Either way the net keeps the edges that it used.
 * An agent is **terminated** when all its tasks are joined, **truncated** when all have ended and
   some failed. The game is over when no agent is active.
 * Nets move in **turn order**: one after the other to its end, or one move each in turn.

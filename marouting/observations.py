@@ -2,7 +2,7 @@
 
 The paper's observation is here; :mod:`marouting.batch.window` has one that fits every grid. You can
 also write your own: any object with the methods of :class:`Observation`. It works in all interfaces
-of the environment, in the batch and in trainings; see :func:`marouting.register`.
+of the environment, in the batch and in training; see :func:`marouting.register`.
 
 Optional methods:
 
@@ -17,7 +17,7 @@ An observation whose agents see no further than their surroundings says so by an
 policies need such observations, and :func:`marouting.batch.locality.check_local` verifies them.
 
 docs/own-pieces.md has a worked example. A simpler form works in the environments, but not in the
-batch or in trainings: instead of ``write``, a method ``see(game, n)`` that returns what agent n of
+batch or in training: instead of ``write``, a method ``see(game, n)`` that returns what agent n of
 a :class:`marouting.game.Game` sees.
 """
 

@@ -1,6 +1,6 @@
 """What a move pays.
 
-A reward is called after every single move, in all interfaces and in trainings, and it may pay any
+A reward is called after every single move, in all interfaces and in training, and it may pay any
 agent of the problem. The metrics of routes (overflow, wirelength, tasks joined) do not depend on
 it. You can also write your own; see :func:`marouting.register`.
 
@@ -13,7 +13,7 @@ environment, what an agent is paid for the moves of others accumulates until its
 defines. In the Gymnasium environment, one player moves all nets and gets what all of them are paid.
 
 docs/own-pieces.md has a worked example. A reward that pays only the agent that moves has a simpler
-form, which works in the environments but not in the batch or in trainings: a method ``pay(game,
+form, which works in the environments but not in the batch or in training: a method ``pay(game,
 n)`` that returns what agent n gets for its last move (:class:`marouting.game.Game`).
 
 Cooperative rewards use the *cost* of a problem, the weighted sum of overflow, open tasks and

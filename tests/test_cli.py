@@ -451,7 +451,17 @@ def test_a_configuration_of_another_command_is_named(refused: Callable[..., str]
         line = refused(command, *more, file)
         assert f"{file}: expected a configuration for `marouting {command}`" in line
         assert line.endswith(f"found one for `marouting {other}`")
-    assert "--show FILE" in refused("config")
+
+
+def test_a_configuration_without_a_file(
+    capsys: pytest.CaptureFixture[str], refused: Callable[..., str]
+) -> None:
+    assert "--schema: expected no configuration" in refused("config", "--schema", "train", "seed=1")
+    text = printed(capsys, "config", "learner.kind=ppo", "seed=5")
+    assert text == printed(capsys, "config", "--show", "learner.kind=ppo", "seed=5")
+    assert yaml.safe_load(text)["learner"]["kind"] == "ppo"
+    assert text.startswith("seed: 5 ")
+    assert text.splitlines()[0].endswith("# command line")
 
 
 def test_resume_goes_by_the_folder_whatever_its_name(

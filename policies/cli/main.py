@@ -414,13 +414,13 @@ def evaluate_command(
     "--show",
     type=FILE,
     metavar="FILE",
-    help="The configuration to show; without it, --schema is required.",
+    help="The configuration to show.  [default: that of a training without a file]",
 )
 @click.option(
     "--schema",
     type=click.Choice(["train", "experiment", "benchmark"]),
-    help="Print the JSON schema of a command's configurations, for editors; without it, --show is "
-    "required.",
+    help="Print the JSON schema of a command's configurations instead, for editors.  "
+    "[default: none]",
 )
 @allow_code_option
 @json_option
@@ -430,16 +430,18 @@ def config_command(
     """Show all values of a configuration, and where each comes from.
 
     FILE is the YAML file of a training, an experiment or a benchmark. Keys that it leaves out have
-    their defaults. KEY=VALUE changes a key.
+    their defaults. KEY=VALUE changes a key: "marouting config learner.kind=ppo".
     """
     from policies.cli.resolved import resolve, schema_of, text_of
 
-    if (show is None) == (schema is None):
-        raise InputError("expected either --show FILE or --schema COMMAND")
+    if show is not None and "=" in str(show) and not exists(show):
+        show, overrides = None, (str(show), *overrides)
     if schema is not None:
+        if show is not None or overrides:
+            raise InputError("--schema: expected no configuration beside it")
         click.echo(json.dumps(schema_of(schema), indent=None if as_json else 1))
         return
-    whole, origins = resolve(cast(Path, show), overrides)
+    whole, origins = resolve(show, overrides)
     if as_json:
         by_key = {".".join(keys): origin for keys, origin in origins.items()}
         click.echo(json.dumps({"config": whole, "origins": by_key}))

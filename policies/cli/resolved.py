@@ -61,12 +61,12 @@ def check_kind(path: str | os.PathLike[str], command: str) -> None:
 
 
 def resolve(
-    path: str | os.PathLike[str], overrides: Sequence[str] = ()
+    path: str | os.PathLike[str] | None, overrides: Sequence[str] = ()
 ) -> tuple[dict[str, Any], Origins]:
     """A configuration as a command gets it.
 
     Args:
-        path: a YAML file, of a training, an experiment or a benchmark.
+        path: a YAML file, of a training, an experiment or a benchmark; None: a training without.
         overrides: ``key=value``, as :func:`marouting.config.override` takes them.
 
     Returns:
@@ -75,7 +75,7 @@ def resolve(
     """
     from policies.learned.config import config_of
 
-    raw, name = read_yaml(path), os.fspath(path)
+    raw, name = ({}, "") if path is None else (read_yaml(path), os.fspath(path))
     kind, changed = kind_of(raw), override(raw, overrides)
     whole = plain(
         config_of(changed, name) if kind == "train" else build(kinds()[kind], changed, name)
@@ -84,7 +84,7 @@ def resolve(
     left = {keys for keys, _ in leaves(changed)}  # a change of a kind discards others
     given = {
         keys: f"{os.path.relpath(file, folder)}:{line}"
-        for keys, (file, line) in origins_of(path).items()
+        for keys, (file, line) in ({} if path is None else origins_of(path)).items()
         if not left.isdisjoint((keys, (*keys, "kind")))
     }
     for text in overrides:
