@@ -168,17 +168,16 @@ class Columns:
         out[...] = whole
         return out
 
-    def before(self, figures: Mapping[str, NDArray[Any]]) -> Before:
+    def before(self, figures: Mapping[str, int]) -> Before:
         """A copy for rewards, made before a move; the figures are of the end of the last one."""
         agents = _Agents({name: column.copy() for name, column in self.agents.items()})
         now = {name: self.games[name] for name in FIGURES}
-        return SimpleNamespace(
-            agents=agents, games={**now, **figures}, remaining=self.remaining.copy()
-        )
+        games = {**now, **{name: np.array([figure]) for name, figure in figures.items()}}
+        return SimpleNamespace(agents=agents, games=games, remaining=self.remaining.copy())
 
-    def figures(self) -> dict[str, NDArray[Any]]:
+    def figures(self) -> dict[str, int]:
         """What ``before`` is to show after this move."""
-        return {name: self.games[name] for name in ("joined", "overflow", "wirelength")}
+        return {name: FIGURES[name](self.game) for name in ("joined", "overflow", "wirelength")}
 
 
 def check_rows(

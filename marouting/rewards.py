@@ -392,6 +392,39 @@ def pay_moves(
     return paid
 
 
+class TeamPay:
+    """:func:`pay_moves` of a plain game, with prices for the net that moves and for the team only.
+
+    Args:
+        prices: with no price for others and for distance.
+    """
+
+    def __init__(self, prices: Prices) -> None:
+        self._table = prices.table.astype(np.float32)
+        self._added = np.float32(prices.added_overflow)
+        self._mover, self._team = prices.shared[Share.MOVER], prices.shared[Share.TEAM]
+
+    @staticmethod
+    def of(reward: Reward) -> "TeamPay | None":
+        """That of a reward, or None if it has other prices or none."""
+        prices = prices_of(reward)
+        if prices is None or prices.shared[[Share.OTHERS, Share.NEARER]].any():
+            return None
+        return TeamPay(prices)
+
+    def __call__(
+        self, game: Game, n: int, then: Mapping[str, int], now: Mapping[str, int]
+    ) -> NDArray[np.float32]:
+        """(N,) what agent n's last move pays, given the figures of the game before and after."""
+        saved = [then["overflow"] - now["overflow"], now["joined"] - then["joined"]]
+        change = np.array([*saved, then["wirelength"] - now["wirelength"]])
+        added = self._added * np.float32(game.added_overflow[n])
+        paid = np.full(len(game.nets), change @ self._team)
+        own = self._table[game.crossing[n], game.ending[n]] - added
+        paid[n] = float(own) + change @ self._mover + paid[n]
+        return paid.astype(np.float32)
+
+
 def _pay_others(
     prices: NDArray[np.float64], games: Games, before: Before, m: int, n: int, paid: Any
 ) -> None:

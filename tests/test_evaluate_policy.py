@@ -152,7 +152,7 @@ def test_what_is_refused() -> None:
     with pytest.raises(InputError, match="policy: expected actions that NumPy can read: Can't"):
         evaluate_policy(lambda obs, _: torch.ones(len(obs), requires_grad=True), toy)
     options["observation"] = Liar()
-    with pytest.raises(InputError, match=r"Liar.local_radius: expected that agents see no furth"):
+    with pytest.raises(InputError, match=r"Liar.local_radius: expected agents to see no furth"):
         evaluate_policy(first, toy, "validation", local=True, **options)
     with pytest.raises(InputError, match=r"policy: expected \(100,\) integers.*found float"):
         evaluate_policy(lambda obs, _: obs[:, 0], toy, "validation")

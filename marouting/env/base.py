@@ -27,7 +27,7 @@ from marouting.options import Agents, game_options
 from marouting.problem.grid import Grid
 from marouting.problem.solution import Solution
 from marouting.render import Window, ansi, rgb_array, scene_of
-from marouting.rewards import paid_by, payer_of
+from marouting.rewards import TeamPay, paid_by, payer_of
 from marouting.source import OTHER_GAME, ProblemStream, Source
 
 ONE_PLAYER = "false: one player moves all nets, so no agent can stay behind"
@@ -69,6 +69,7 @@ class GameEnv(EzPickle):
         self._pays_mover = has_form(self._reward, "pay", "__call__")
         if self._pays_mover:
             self._pay_mover = payer_of(self._reward)
+        self._team_pay = TeamPay.of(self._reward)
         self.render_mode = checked.render_mode
         self._masked = checked.mask.in_observation
         self._mask_key, self._observation_key = checked.mask.mask_key, checked.mask.observation_key
@@ -229,9 +230,13 @@ class GameEnv(EzPickle):
         if self._pays_mover:
             self.game.move(n, action)
             return self._pay_mover(self.game, n)
-        before = self._columns.before(self._figures)
+        then, team = self._figures, self._team_pay
+        before = self._columns.before(then) if team is None else None
         self.game.move(n, action)
         self._figures = self._columns.figures()
+        if team is not None:
+            return team(self.game, n, then, self._figures)
+        assert before is not None
         return paid_by(self._reward, self._columns, before, np.array([n], np.int32))[0]
 
     def _task_end(self, n: int) -> dict[str, Any]:
