@@ -1055,6 +1055,17 @@ def test_evaluations_tell_for_how_many_moves_the_network_was_trained(tmp_path: P
     assert steps == sorted(steps)
 
 
+def test_schedules_go_on_from_the_time_that_was_spent(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three quarters of the seconds are gone, but only half of the episodes."""
+    monkeypatch.setattr(Run, "_share_of_time", lambda _: 0.75)
+    drawn = {"kind": "ppo", "shared": True, "problem": DRAWN, "games": 2, "seconds": 1000.0}
+    Run(config_in(tmp_path, 6, **drawn)).execute()
+    run = Run(config_in(tmp_path, 12, **drawn), resume=True)
+    assert run.trainer.learner.progress.tolist() == [0.75]
+
+
 @pytest.mark.parametrize("options", LONGER.values(), ids=LONGER)
 def test_more_episodes_are_those_of_a_longer_run(options: dict[str, Any], tmp_path: Path) -> None:
     # Evaluations fall on the last episode of a part, and no option goes by the share of all.
