@@ -395,6 +395,9 @@ def pay_moves(
 class TeamPay:
     """:func:`pay_moves` of a plain game, with prices for the net that moves and for the team only.
 
+    The columns' form copies all columns before every move: with it, a Parallel environment of 50
+    nets makes a fifth as many moves a second.
+
     Args:
         prices: with no price for others and for distance.
     """

@@ -162,6 +162,24 @@ def test_compiled_rewards_are_those_by_columns(
         np.testing.assert_array_equal(steps[0][0], steps[1][0])
 
 
+@given(games, rewards)
+def test_environments_pay_as_the_columns_form_does(game: Any, reward: Any) -> None:
+    """Prices for the mover and the team have a form of their own for a single game."""
+    options = dict(game)
+    problem = generate(1, (4, 4, 2), nets=5, max_pins=3, capacity=1, seed=options.pop("seed"))[0]
+    envs = [
+        global_routing_v0.parallel_env(problem, reward=one, **options)
+        for one in (reward, ByColumns(**reward))
+    ]
+    rng = np.random.default_rng(game["seed"])
+    for env in envs:
+        env.reset()
+    while envs[0].agents:
+        moves = {agent: int(rng.integers(6)) for agent in envs[0].agents}
+        paid, by_columns = (env.step(moves)[1] for env in envs)
+        assert paid == pytest.approx(by_columns, rel=1e-5, abs=1e-3)
+
+
 def accounted_for(game: Game, n: int, prices: Any, failures: dict[int, int]) -> float:
     """The cost that a net accounts for, computed from nothing but routes and capacities."""
     without = dict.fromkeys(range(len(game.capacity)), 0)

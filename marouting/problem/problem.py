@@ -42,7 +42,7 @@ class Kept:
     """Nets that were taken out of a problem because their routes stay as they are.
 
     Attributes:
-        whole: the problem with all nets.
+        whole: the problem with all nets, with the capacities that controls leave.
         free: (nets,) int64, for each net of the problem its number in ``whole``, ascending.
         uses: (uses,) int64 twice: net, by its number in ``whole``, and edge of the routes that
             stay, in this order.

@@ -290,10 +290,10 @@ class Solution:
         nets = self.problem.nets
         if format in ("guide", "patched-guide"):
             layers = self.problem.chip_or_default.layers
-            there, more = self.at_reached_pins().problem, None
+            reached, more = self.at_reached_pins().problem, None
             if format == "patched-guide":
-                more = patches(there, self.uses, self.used_edges)
-            net, box, layer = boxes_of(there, *self.uses, more)
+                more = patches(reached, self.uses, self.used_edges)
+            net, box, layer = boxes_of(reached, *self.uses, more)
             rows = [
                 f"{left} {low} {right} {high} {layers[z]}"
                 for left, low, right, high, z in zip(*box.T.tolist(), layer.tolist(), strict=True)
