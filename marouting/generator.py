@@ -340,6 +340,7 @@ def _nets(
     # How often each distance is drawn; pins off the grid are drawn again.
     lengths = np.arange(1, int(sides.sum()) - 1)
     chances = np.cumsum(lengths ** (2.0 * options.rent - 3)) if options.rent is not None else None
+    most = 300 * max(options.max_pins, 100)  # draws for a net
 
     def first() -> NDArray[np.integer]:
         if options.hot_spots and rng.random() < 0.5:
@@ -347,16 +348,21 @@ def _nets(
             return np.floor(rng.normal(spot, sides / 16)).astype(int)
         return rng.integers(sides)
 
-    def pins() -> NDArray[np.integer]:
-        """(K, 2) chip coordinates of the pins of a net."""
+    def pins(draws: Iterator[int]) -> NDArray[np.integer] | None:
+        """(K, 2) chip coordinates of the pins of a net; None if these draws give none."""
         if options.rent is None and not (options.macros or options.hot_spots):
             return rng.integers(TILE * sides, size=(rng.integers(2, options.max_pins + 1), 2))
         found = [first()]
         count = rng.integers(2, options.max_pins + 1)
+        off = (np.maximum(-found[0], 0) + np.maximum(found[0] - sides + 1, 0)).sum()
+        if chances is not None and off > lengths[-1]:
+            return None
         while len(found) < count:
             if chances is None:
                 found.append(rng.integers(sides))
                 continue
+            if next(draws, None) is None:
+                return None
             far = lengths[np.searchsorted(chances, rng.random() * chances[-1])]
             across = rng.integers(-far, far + 1)
             away = np.array([across, (far - abs(across)) * (2 * rng.integers(2) - 1)])
@@ -365,13 +371,18 @@ def _nets(
         return TILE * np.array(found) + rng.integers(TILE, size=(len(found), 2))
 
     def net(index: int) -> Net:
-        while True:
-            at = pins()
+        draws = iter(range(most))
+        for _ in draws:
+            if (at := pins(draws)) is None:
+                continue
             gcells = at // TILE
             if (gcells < 0).any() or (gcells >= sides).any() or macros[tuple(gcells.T)].any():
                 continue
             if (gcells != gcells[0]).any():
-                break
-        return Net(f"A{index + 1}", index + 1, tuple(Pin(int(x), int(y), 1) for x, y in at))
+                place = tuple(Pin(int(x), int(y), 1) for x, y in at)
+                return Net(f"A{index + 1}", index + 1, place)
+        name = "macros" if options.macros else "hot_spots"
+        what = "Gcells on the grid and outside of macros for all pins, found none for those of net"
+        raise InputError(f"{name}: expected {what} {index + 1} in {most} draws")
 
     return tuple(map(net, range(options.nets)))

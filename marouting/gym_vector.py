@@ -59,6 +59,8 @@ class GlobalRoutingVector(VectorEnv[Any, Any, Any]):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         **options: Any,
     ) -> None:
+        what = "nothing: gymnasium.make_vec has it with vectorization_mode='sync'"
+        check("max_episode_steps", "max_episode_steps" not in options, what)
         modes = {name: mode for mode in AutoresetMode for name in (mode, mode.name, mode.value)}
         what = f"one of {', '.join(mode.name for mode in AutoresetMode)}, found {autoreset_mode!r}"
         check("autoreset_mode", autoreset_mode in modes, what)
@@ -135,10 +137,15 @@ class GlobalRoutingVector(VectorEnv[Any, Any, Any]):
                 that is over.
             ValueError: there is not one action for each game, or one is none.
         """
-        moves = np.asarray(actions)
-        moves = moves.reshape(-1, 1) if moves.ndim == 1 else moves
-        if moves.size and moves.min() < 0:
-            raise ValueError(f"actions: expected 0 to {self._options.actions - 1}, found {actions}")
+        moves, count = np.asarray(actions), self._options.actions
+        fits = moves.shape in ((self.num_envs,), (self.num_envs, 1)) and moves.dtype.kind in "iu"
+        if not fits:
+            what = f"expected integers of shape ({self.num_envs},)"
+            raise ValueError(f"actions: {what}, found {moves.dtype} of shape {moves.shape}")
+        moves = moves.reshape(-1, 1)
+        if not 0 <= moves.min() <= moves.max() < count:
+            wrong = moves[(moves < 0) | (moves >= count)][0]
+            raise ValueError(f"actions: expected 0 to {count - 1}, found {wrong}")
         if self._mode is AutoresetMode.DISABLED and self._over.any():
             games = np.flatnonzero(self._over).tolist()
             raise ResetNeeded(f"step: expected a call of reset() for games {games}, which are over")

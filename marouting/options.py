@@ -94,7 +94,8 @@ class GameOptions(Rules):
         what = f"{shown}, as in observation.message_bits, found {self.message_bits}"
         check("message_bits", shown in (0, self.message_bits), what)
         taken = {self.mask.observation_key, *TOLD}
-        check("mask.mask_key", self.mask.mask_key not in taken, "a name of its own")
+        what = f"none of {', '.join(sorted(taken))}, found {self.mask.mask_key}"
+        check("mask.mask_key", self.mask.mask_key not in taken, what)
 
     @property
     def rules(self) -> Rules:

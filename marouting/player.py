@@ -226,9 +226,8 @@ class Player:
     ) -> None:
         for name, piece in (("observation", observation), ("reward", reward)):
             columns = FORMS[name][0]
-            found = f"found {type(piece).__name__}"
-            what = f"an object with {columns}, which all but single environments need, {found}"
-            check(name, hasattr(piece, columns), what)
+            what = f"an object with {columns}, which all but AEC, Parallel and gymnasium.make need"
+            check(name, hasattr(piece, columns), f"{what}, found {type(piece).__name__}")
         self.engine, self.observation, self.reward = engine, observation, reward
         self.turned = turned and has_move_order(observation)
         self.everyone, self.draws = everyone, draws

@@ -79,7 +79,7 @@ def register(kind: str, name: str, cls: type[Any] | str) -> None:
             it.
     """
     _check_kind(kind)
-    if not name or ":" in name:
+    if not isinstance(name, str) or not name or ":" in name:
         raise InputError(f"{kind}: expected a name without a colon, found {name!r}")
     if not isinstance(cls, type | str):
         raise InputError(f"{kind}: expected a class or module:Class, found {cls!r}")

@@ -532,7 +532,11 @@ def test_a_run_goes_on(here: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPat
         (["--scenario", SCENARIO, "--router", "mine.py"], r"mine\.py"),
         (["--scenario", SCENARIO, "--router", "solved"], r"one solution test_000\.\*, found none"),
         (["--scenario", SCENARIO, "--router", "other.csv"], r"a row for toy-4x4-v0,test_000"),
-        (["--leaderboard", "l.md", "--router", "astar"], r"--leaderboard: expected neither"),
+        (
+            ["--leaderboard", "l.md", "--router", "astar"],
+            r"--leaderboard: expected only --out with it, found --router",
+        ),
+        (["--leaderboard", "l.md", "--seeds", "2", "jobs=3"], r"found jobs=3, --seeds"),
     ],
 )
 def test_wrong_input_is_one_line(

@@ -242,6 +242,14 @@ def test_route_with_a_checkpoint(
     assert (here / "a.solution").exists()
 
 
+def test_a_checkpoint_of_another_learner_is_refused(
+    trained: Path, refused: Callable[..., str]
+) -> None:
+    problem, policy = trained / "problems/problem_000.gr", trained / "policy.pt"
+    command = ["route", str(problem), "--router", "ppo", "--checkpoint", str(policy)]
+    assert "--router: expected dqn, as in" in refused(*command)
+
+
 def test_convert_writes_the_same_problem(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     problem = replace(Problem.read("p.gr"), adjustments=())
     problem.write("plain.gr")
@@ -534,6 +542,35 @@ def process(*arguments: str) -> subprocess.CompletedProcess[str]:
         check=False,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
     )
+
+
+TALKATIVE = """grid 1 4 2
+vertical capacity 2 1
+horizontal capacity 1 1000000
+minimum width 1 1
+minimum spacing 0 1
+via spacing 0 0
+0 0 1 1
+num net 3
+n0 0 2 500000
+0 2 1
+0 3 2
+n1 1 2 962502
+0 1 2
+0 3 2
+n2 2 2 999999
+0 3 1
+0 1 2
+0
+"""
+
+
+@pytest.mark.usefixtures("here")
+def test_what_a_solver_prints_is_no_result() -> None:
+    Path("talkative.gr").write_text(TALKATIVE)
+    done = process("route", "talkative.gr", "--router", "optimal", "--json")
+    assert "HighsMipSolverData" in done.stderr  # without it, the test tells nothing
+    assert set(only_object(done.stdout)) >= KEYS
 
 
 @pytest.mark.usefixtures("here")

@@ -396,7 +396,7 @@ def test_resume_takes_keys_without_a_configuration(capsys: pytest.CaptureFixture
     found = capsys.readouterr()
     assert json.loads(found.out)["episodes"] == 3
     assert "longer: train.episodes was 2, now 3" in found.err
-    assert "now falls over the new number" in found.err
+    assert "learner.epsilon_final now refers to the longer training" in found.err
 
 
 def test_warnings_are_a_line(folder: Path) -> None:

@@ -557,7 +557,7 @@ def test_bad_problems() -> None:
 def test_bad_moves(moves: NDArray[np.integer]) -> None:
     engine = Engine([ROW])
     for act in (engine.step, engine.move):
-        with pytest.raises(ValueError, match="moves: expected"):
+        with pytest.raises(ValueError, match="actions: expected"):
             act(moves)
     assert engine.metrics().steps == 0
 

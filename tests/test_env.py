@@ -810,6 +810,9 @@ def test_a_missing_action_is_an_error() -> None:
     env.reset()
     with pytest.raises(KeyError, match="net_2"):
         env.step({"net_0": 0})
+    for actions in (None, [0, 0], np.zeros(2, int)):
+        with pytest.raises(ValueError, match="step: expected a mapping from agents to actions"):
+            env.step(actions)  # type: ignore[arg-type]
     assert env.metrics()["steps"] == 0
 
 
@@ -926,8 +929,8 @@ def test_make_takes_problems_as_objects() -> None:
         ({"mask_visited": True}, "mask_visited: unknown key; it is now mask: {visited: …}"),
         ({"mask_key": "m"}, "mask_key: unknown key; it is now mask: {mask_key: …}"),
         ({"mask": {"in_observation": "yes"}}, "mask.in_observation: expected true or false"),
-        ({"mask": {"mask_key": "observation"}}, "mask.mask_key: expected a name of its own"),
-        ({"mask": {"mask_key": "metrics"}}, "mask.mask_key: expected a name of its own"),
+        ({"mask": {"mask_key": "observation"}}, "mask.mask_key: expected none of "),
+        ({"mask": {"mask_key": "metrics"}}, "mask.mask_key: expected none of "),
         ({"mask": {"mask_key": 1}}, "mask.mask_key: expected a text, found 1"),
         ({"render_mode": "svg"}, "render_mode: expected one of ansi, rgb_array, human or null"),
         ({"problem": {"nets": 0}}, "nets: expected 1 to 1000000000, found 0"),

@@ -31,6 +31,7 @@ from marouting import (
     sequential_astar,
 )
 from policies import figures
+from policies.bench.chips import write_contest
 from policies.cli.main import status
 from policies.experiment import Experiment, load_experiment, load_sets
 from policies.experiment.part import work_on
@@ -411,6 +412,45 @@ def test_problems_are_those_it_started_with(tmp_path: Path) -> None:
     assert kept == {
         path.name: path.read_text() for path in (tmp_path / "out/problems/any").iterdir()
     }
+
+
+def test_problems_that_have_changed_are_refused(tmp_path: Path) -> None:
+    problems = generate(2, (4, 4, 2), nets=4, reduced_edges=0)
+    for form in ("files", "one", "folders"):
+        here = tmp_path / form
+        file = here / "set/a.gr"
+        problems[0].write(file)
+        source = {"files": {"s": str(file.parent)}, "one": {"s": [str(file)]}, "folders": str(here)}
+        config = write_config(here / "c.yaml", problems=source[form])
+        Experiment(load_experiment(config)).execute()
+        Experiment(load_experiment(config))
+        problems[1].write(file)
+        with pytest.raises(InputError, match=r"a\.gr: expected the problem of .*, found another"):
+            Experiment(load_experiment(config))
+        problems[0].write(file)
+        if form != "one":
+            problems[1].write(file.with_name("b.gr"))
+            with pytest.raises(InputError, match=r"b\.gr: expected the problem of"):
+                Experiment(load_experiment(config))
+        shutil.rmtree(file.parent)
+        Experiment(load_experiment(config))  # its copies are enough
+
+
+def test_what_is_lost_of_a_chip_is_said(tmp_path: Path) -> None:
+    write_contest(tmp_path / "contest", 20)
+    config = write_config(tmp_path / "c.yaml", problems={"s": [str(tmp_path / "contest.cap")]})
+    with pytest.warns(
+        UserWarning, match=r"problems\.s: routed and judged as ISPD text, which does"
+    ):
+        Experiment(load_experiment(config))
+
+
+def test_seeds_that_a_router_cannot_take_are_refused_first(tmp_path: Path) -> None:
+    routers = {"a": {"router": "astar", "net_order": "random"}}
+    config = write_config(tmp_path / "c.yaml", routers=routers, seeds=[2**40, 1])
+    with pytest.raises(InputError, match="seed: expected a number from 0 to 2147483647"):
+        Experiment(load_experiment(config))
+    assert not (tmp_path / "out").exists()
 
 
 LONG = {

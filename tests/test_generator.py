@@ -233,3 +233,16 @@ def test_half_of_the_nets_begin_at_hot_spots() -> None:
 def test_options_of_chips_out_of_range(given_: dict[str, Any], named: str) -> None:
     with pytest.raises(InputError, match=named):
         generate(1, **given_)
+
+
+def test_no_room_outside_of_macros() -> None:
+    with pytest.raises(
+        InputError, match="macros: expected Gcells on the grid and outside of macros"
+    ):
+        generate(1, (10, 10, 3), nets=5, macros=1000)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 4])
+def test_nets_that_begin_too_far_off_the_grid_are_drawn_again(seed: int) -> None:
+    problem = generate(1, (1, 2, 1), nets=50, rent=0.6, hot_spots=1, seed=seed)[0]
+    assert problem.to_route.all()

@@ -164,14 +164,19 @@ def test_the_vector_says_what_it_cannot_use() -> None:
         ({"render_mode": "human"}, "render_mode: expected ansi, rgb_array or None"),
         ({"agents_persist": True}, "agents_persist: expected false"),
         ({"frameskip": 4}, "frameskip: unknown key"),
+        ({"max_episode_steps": 4}, "max_episode_steps: expected nothing: .*sync"),
         ({"autoreset_mode": "Later"}, "autoreset_mode: expected one of NEXT_STEP, SAME_STEP"),
     ):
         with pytest.raises(InputError, match=message):
             gymnasium.make_vec(ENVIRONMENT_ID, 2, **options)
     env = gymnasium.make_vec(ENVIRONMENT_ID, 2, problem=PROBLEM, render_mode="ansi")
     env.reset()
-    with pytest.raises(ValueError, match="expected 0 to 5"):
-        env.step(np.array([0, -1]))
+    for actions, found in (([0, -1], "-1"), ([6, 0], "6")):
+        with pytest.raises(ValueError, match=f"actions: expected 0 to 5, found {found}$"):
+            env.step(np.array(actions))
+    for wrong in (None, [None, 1], "ab", [0.0, 0.0], [0], [[0, 1]]):
+        with pytest.raises(ValueError, match=r"actions: expected integers of shape \(2,\), found"):
+            env.step(wrong)
     with pytest.raises(ValueError, match="seed: expected one, or 2 of them"):
         env.reset(seed=[1, 2, 3])
     pictures = env.render()

@@ -421,6 +421,41 @@ def test_large_numbers_do_not_lead_to_false_proofs(seed: int, factor: int) -> No
     assert best <= (found.overflow, found.wirelength)
 
 
+NEAR_THE_PRECISION = """grid 2 3 1
+vertical capacity 253332698
+horizontal capacity 500000000
+minimum width 0
+minimum spacing 0
+via spacing 0
+0 0 1 1
+num net 3
+n0 0 2 102341140
+0 2 1
+0 2 1
+n1 1 3 500000000
+0 1 1
+1 2 1
+1 1 1
+n2 2 2 1000000
+1 2 1
+1 1 1
+4
+0 1 1 1 1 1 372931281
+0 1 1 1 1 1 2
+0 1 1 1 1 1 999999
+0 2 1 1 2 1 999999
+"""
+
+
+def test_numbers_near_the_solvers_precision(tmp_path: Path) -> None:
+    """By rounding, HiGHS calls an integer program infeasible that is not: it proves nothing."""
+    (tmp_path / "p.gr").write_text(NEAR_THE_PRECISION)
+    problem = Problem.read(tmp_path / "p.gr")
+    found = proven(problem, OptimalRouter())
+    assert (found.bound_overflow, found.bound_wirelength) <= best_of_all(problem)
+    assert found.status == "solver limit"
+
+
 # --- bounds ---------------------------------------------------------------------------------------
 
 

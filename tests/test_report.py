@@ -202,6 +202,13 @@ def test_a_report_by_hand(crowded: Solution) -> None:
     assert sum(row["horizontal"] + row["vertical"] for row in found["histogram"]) == 2 * 7
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_net_without_width_on_an_edge_without_capacity() -> None:
+    net = Net("n", 0, (Pin(0, 0, 1), Pin(1, 0, 1)), 0)
+    problem = Problem((2, 1, 1), (0,), (0,), (net,), (0,), (0,), (0,))
+    assert report(sequential_astar(problem))["overflow"] == 0
+
+
 def test_the_command(crowded: Solution, capsys: pytest.CaptureFixture[str]) -> None:
     assert status(["evaluate", "p.gr", "p.solution", "--report", "--json", "--map", "map.png"]) == 0
     assert json.loads(capsys.readouterr().out) == report(crowded)

@@ -1055,6 +1055,26 @@ def test_evaluations_tell_for_how_many_moves_the_network_was_trained(tmp_path: P
     assert steps == sorted(steps)
 
 
+@pytest.mark.parametrize("name", ["steps", "seconds"])
+def test_runs_that_steps_or_seconds_end_can_be_longer(name: str, tmp_path: Path) -> None:
+    drawn = {"kind": "ppo", "shared": True, "problem": DRAWN, "games": 2}
+    first = Run(config_in(tmp_path, 10**6, **drawn, **{name: 1}))
+    first.execute()
+    again = Run(config_in(tmp_path, 10**6, **drawn, **{name: 1}), resume=True)
+    assert again.finished is not None
+    assert again.length == name
+    for other in (None, 0.5 if name == "seconds" else None):
+        with pytest.raises(InputError, match=rf"train\.{name}: expected 1(\.0)?, as in "):
+            Run(config_in(tmp_path, 10**6, **drawn, **{name: other}), resume=True)
+    longer = {"steps": 999, "seconds": first.figures.processor_seconds + 1}[name]
+    more = Run(config_in(tmp_path, 10**6, **drawn, **{name: longer}), resume=True)
+    assert more.had == {name: 1}
+    assert more.finished is None
+    more.execute()
+    assert more.trainer.steps.sum() > first.trainer.steps.sum()
+    assert getattr(load_config(tmp_path / "config.yaml").train, name) > 1
+
+
 def test_schedules_go_on_from_the_time_that_was_spent(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -1075,7 +1095,7 @@ def test_more_episodes_are_those_of_a_longer_run(options: dict[str, Any], tmp_pa
     Run(config_in(folder, 3, **options)).execute()
     first = metrics(folder)
     run = Run(config_in(folder, 6, **options), resume=True)
-    assert run.had == 3
+    assert run.had == {"episodes": 3}
     assert run.finished is None
     run.execute()
     assert metrics(folder)[: len(first)] == first

@@ -348,12 +348,13 @@ class Engine:
         # The compiled functions use these as indices without checking them.
         if moves.shape not in (self.games.shape, self.agents.shape) or moves.dtype.kind not in "iu":
             raise ValueError(
-                f"moves: expected integers of shape {self.games.shape} or {self.agents.shape}, "
+                f"actions: expected integers of shape {self.games.shape} or {self.agents.shape}, "
                 f"found {moves.dtype} of shape {moves.shape}"
             )
         if not (moves.min() >= NOBODY and moves.max() < self.actions):
-            expected = f"0 to {self.actions - 1}, or {NOBODY}"
-            raise ValueError(f"moves: expected {expected}, found {moves}")
+            wrong = moves[(moves < NOBODY) | (moves >= self.actions)][0]
+            expected = f"0 to {self.actions - 1}, or {NOBODY} for none"
+            raise ValueError(f"actions: expected {expected}, found {wrong}")
 
     @functools.cached_property
     def _problems(self) -> NDArray[np.int32]:

@@ -85,7 +85,7 @@ class GlobalRoutingParallel(NetEnv, ParallelEnv):
         Raises:
             ResetNeeded: no episode has begun. Once it is over, a step changes nothing.
             KeyError: an agent's action is missing.
-            ValueError: an action is out of range.
+            ValueError: ``actions`` is no mapping, or an action is out of range.
         """
         self._check_begun()
         agents, numbers, game = self.agents, self._numbers, self.game
@@ -93,6 +93,10 @@ class GlobalRoutingParallel(NetEnv, ParallelEnv):
             moves = _moves([actions[agent] for agent in agents], agents, self._actions)
         except KeyError as error:
             raise KeyError(f"step: expected an action for {error.args[0]}") from None
+        except (TypeError, IndexError):
+            found = type(actions).__name__
+            what = f"step: expected a mapping from agents to actions, found {found}"
+            raise ValueError(what) from None
         rewards, ended = self._move_all(dict(zip(numbers, moves, strict=True)))
         observations, infos = self._look(first=False)
         for n, told in ended.items():

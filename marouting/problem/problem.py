@@ -412,6 +412,14 @@ class Problem:
         except FieldError as error:
             raise record.located(error) from None
 
+    @property
+    def beyond_text(self) -> tuple[str, ...]:
+        """What the problem's files give that :meth:`write` does not, in words."""
+        if self.chip is None:
+            return ()
+        lost = "names of layers", "further Gcells of pins"
+        return lost if self.chip.contest is None else (*lost, "costs of the contest")
+
     def write(self, path: str | os.PathLike[str], format: ispd.Format = "ispd2008") -> None:
         """Writes the problem in an ISPD format (:mod:`marouting.problem.ispd`).
 

@@ -7,10 +7,17 @@ from pathlib import Path
 from typing import cast
 
 import click
+from click.core import ParameterSource
 
 from marouting import InputError
 from policies.cli.completion import keys_of, routers, scenario_names
-from policies.cli.options import FILE, allow_code_option, json_option, overrides_argument
+from policies.cli.options import (
+    FILE,
+    allow_code_option,
+    json_option,
+    overrides_argument,
+    results_alone,
+)
 
 NAME = "{name}"
 """In --name: the name that a row has otherwise."""
@@ -131,8 +138,17 @@ def benchmark(
     if leaderboard is not None:
         from policies.experiment.leaderboard import write_leaderboard
 
-        if names or routers or config:
-            raise InputError("--leaderboard: expected neither --scenario, --router nor --config")
+        context = click.get_current_context()
+        free = ("leaderboard", "out", "as_json", "allow_code")
+        beside = [
+            own.opts[0] if own.opts[0].startswith("-") else " ".join(overrides)
+            for own in context.command.params
+            if context.get_parameter_source(own.name or "") is ParameterSource.COMMANDLINE
+            and own.name not in free
+        ]
+        if beside:
+            found = ", ".join(beside)
+            raise InputError(f"--leaderboard: expected only --out with it, found {found}")
         written = write_leaderboard(out or OUT, leaderboard)
         if as_json:
             click.echo(json.dumps({"files": [str(path) for path in written]}))
@@ -151,6 +167,7 @@ def benchmark(
     from policies.experiment.result import read_result, summarise
     from policies.routers.registry import unknown
 
+    results_alone()
     if not names:
         known = ", ".join(scenarios.names())
         raise InputError(f"--scenario: expected one of {known}, or all")

@@ -27,7 +27,7 @@ except ImportError:  # pragma: no cover - the command line needs the extra
     sys.exit("marouting: the command line needs more packages: pip install 'marouting[learn]'")
 
 from marouting import InputError, ProblemFile, Solution, __version__, evaluate
-from marouting.config import override, read_yaml
+from marouting.config import check, override, read_yaml
 from marouting.files import (
     check_apart,
     check_suffix,
@@ -51,6 +51,7 @@ from policies.cli.options import (
     json_option,
     options_of,
     overrides_argument,
+    results_alone,
     tell,
 )
 from policies.cli.source import problem_argument
@@ -177,9 +178,7 @@ def convert(
     size, nets = list(loaded.grid), len(loaded.nets)
     if solution is None:
         loaded.write(out, cast(Format, format or "ispd2008"))
-        if loaded.chip is not None:
-            lost = "names of layers, further Gcells of pins"
-            lost += "" if loaded.chip.contest is None else ", costs of the contest"
+        if lost := ", ".join(loaded.beyond_text):
             click.echo(f"{out}: ISPD text does not hold: {lost}", err=True)
         tell(as_json, f"{loaded.topology}, {nets} nets in {out}", out=out, grid=size, nets=nets)
         return
@@ -247,6 +246,7 @@ def route(
     """
     from policies.cli.progress import waiting
 
+    results_alone()
     learner = is_learner(router, "--router")
     if checkpoint and not learner:
         expected = " or ".join(names("learner"))
@@ -316,7 +316,11 @@ def _learned(
     watch = None
     if checkpoint is None:
         watch = stack.enter_context(training_bar(0, settings.train.episodes))
-    return LearnedRouter(settings, checkpoint, watch, network=problem)
+    router = LearnedRouter(settings, checkpoint, watch, network=problem)
+    if router.policy is not None:
+        kind = router.policy.learner
+        check("--router", kind == learner, f"{kind}, as in {checkpoint}, found {learner}")
+    return router
 
 
 def _report(
@@ -469,14 +473,14 @@ def train(
     or learner.kind=ppo; the kinds are dqn, ppo, iql, ippo, mappo, imitation and module:Class, and
     each has its own defaults. env.scenario=toy-4x4-v0 trains one network on problems drawn from
     the scenario's training split, and evaluates it on the validation problems. Everything is
-    written to the run folder, the key `out`. --resume DIR train.episodes=N gives a run more
-    episodes, finished or not.
+    written to the run folder, the key `out`. --resume DIR goes on with a run that was stopped;
+    with a larger train.episodes (or train.steps, train.seconds) also with one that is finished.
     """
     from policies.cli.progress import training_bar
     from policies.cli.resolved import check_kind
     from policies.cli.tables import FEW, show, show_training
     from policies.learned.config import load_config
-    from policies.learned.run import Run
+    from policies.learned.run import FALLING, Run
     from policies.results.run_folder import CHECKPOINT
 
     if config is not None and "=" in str(config) and not exists(config):
@@ -517,17 +521,19 @@ def train(
             click.echo("nothing was learned: the training ended before its first update", err=True)
 
     if run.finished is not None:
-        click.echo(f"{resume}: already finished; train.episodes=N adds episodes", err=True)
+        more = f"train.{run.length}=N adds {run.length}"
+        click.echo(f"{resume}: already finished; {more}", err=True)
         tell_rows(run.finished)
         return
     if resume is not None and not (resume / CHECKPOINT).exists():
         click.echo(f"{resume}: no checkpoint yet, so the training starts again", err=True)
-    if run.had is not None:
-        click.echo(
-            f"{resume}: train.episodes was {run.had}, now {settings.train.episodes}; a learning "
-            "rate or epsilon that falls over the whole training now falls over the new number",
-            err=True,
-        )
+    options = settings.learner.options
+    set_to = ((key, getattr(options, key, None)) for key in FALLING)
+    falls = [key for key, value in set_to if value is not None and value is not False]
+    for name, had in run.had.items():
+        now = getattr(settings.train, name)
+        longer = f"; learner.{falls[0]} now refers to the longer training" if falls else ""
+        click.echo(f"{resume}: train.{name} was {had}, now {now}{longer}", err=True)
     click.echo(f"learner {settings.learner.name}: {run.trainer.path}", err=True)
     with training_bar(*run.progress, run.best, run.reference) as watch:
         rows = run.execute(lambda some: watch(some, run.trainer.walks, run.progress[0]))
@@ -551,6 +557,7 @@ def experiment(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
     from policies.cli.tables import show_experiment
     from policies.experiment import Experiment, load_experiment
 
+    results_alone()
     check_kind(config, "experiment")
     task = Experiment(load_experiment(config, overrides))
     with problems_bar(str(task.folder)) as watch:

@@ -1,7 +1,11 @@
 """Options and arguments that commands share."""
 
+import contextlib
 import functools
+import io
 import json
+import os
+import sys
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -50,6 +54,19 @@ def _type_of(hint: Any) -> Any:
         return click.Tuple([_type_of(one) for one in inner])
     kind = next((one for one in inner if one is not NoneType), hint)
     return {int: click.INT, float: click.FLOAT}[kind]
+
+
+def results_alone() -> None:
+    """Leaves standard output to results: what solvers print by themselves is an error message.
+
+    HiGHS of SciPy 1.17 has a message that no option turns off.
+    """
+    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout is sys.__stdout__:
+        with contextlib.suppress(OSError):  # closed
+            own = os.dup(1)
+            os.dup2(2, 1)
+            how = sys.stdout.encoding, sys.stdout.errors
+            sys.stdout = os.fdopen(own, "w", -1, *how)
 
 
 json_option = click.option(

@@ -99,7 +99,8 @@ def show_experiment(summary: Mapping[str, Any]) -> None:
     """
     reference = summary["reference"]
     for name, rows in summary["sets"].items():
-        title = f"{name}: {rows[0]['problems']} problems"
+        count = rows[0]["problems"]
+        title = f"{name}: {count} problem{'s' * (count > 1)}"
         if name in summary["types"]:
             title += "".join(f", {n} of Type {type}" for type, n in summary["types"][name].items())
         columns = {

@@ -46,7 +46,7 @@ from policies.results.run_folder import (
     read_evaluations,
 )
 from policies.results.statistics import interquartile_mean
-from policies.routers.registry import is_learner
+from policies.routers.registry import is_learner, router_names
 
 SEEDS = 3
 """The default number of seeds."""
@@ -106,6 +106,7 @@ def from_text(
         InputError: it is none of these, or an option is wrong.
     """
     raw: dict[str, Any]
+    check("--router", text.strip(), "a name, a file or a folder, found nothing")
     path = Path(text.replace(SEED, "0"))
     trained = next((path / name for name in (POLICY, CHECKPOINT) if is_file(path / name)), None)
     if trained is not None:
@@ -120,10 +121,11 @@ def from_text(
         called = Path(text).stem.replace(SEED, "")
     else:
         try:
-            router, *options = shlex.split(text) or [""]
+            router, *options = shlex.split(text)
         except ValueError as error:
             raise InputError(f"--router {text}: {error}") from None
-        if os.sep in router and ":" not in router:
+        named = ":" in router or router in router_names()
+        if not named and (os.sep in router or "." in router):
             raise InputError(f"--router {text}: expected a file or a folder, found none there")
         is_learner(router, "--router")
         raw = {**override({}, options), "router": router}

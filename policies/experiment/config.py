@@ -374,6 +374,8 @@ class Entry:
             options = asdict(build(Published, options, where))
         elif router == SOLUTIONS:
             options = asdict(build(ExternalSolutions, options, where))
+        elif router is None:
+            raise InputError(f"{where}: expected a router, as in {{router: astar}}")
         elif not isinstance(router, str):
             raise unknown(f"{where}: router", str(router), (*router_names(), PUBLISHED, SOLUTIONS))
         elif is_learner(router, f"{where}: router"):

@@ -1,6 +1,7 @@
 """A whole experiment: its parts are distributed to processes, its results are collected."""
 
 import json
+import warnings
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
@@ -108,26 +109,52 @@ class Experiment:
         return {"problems": problems, "routers": routers}
 
     def _load(self, before: ExperimentConfig | None) -> dict[str, dict[str, Problem]]:
-        """The sets, in the order of the configuration; what the folder holds is read from it."""
-        folder = self.folder / "problems"
-        if isinstance(self.config.problems, str):
+        """The sets, in the order of the configuration; what the folder holds is read from it.
+
+        Raises:
+            InputError: a set is another one now. Those that are drawn, perhaps at random, and files
+                that are gone are not compared.
+        """
+        problems, folder = self.config.problems, self.folder / "problems"
+        if isinstance(problems, str):
             if before is None:
-                return load_sets(self.config.problems)
-            names = sorted(path.name for path in folder.iterdir() if path.is_dir())
-            return {name: load_problems(str(folder / name)) for name in names}
+                return load_sets(problems)
+            found = sorted(path for path in folder.iterdir() if path.is_dir())
+            kept = {path.name: load_problems(str(path)) for path in found}
+            for name, now in (_as_now(load_sets, problems) or {}).items():
+                self._check_kept(name, kept.get(name, {}), now)
+            return kept
         held = {} if before is None else before.problems
         sets = {}
-        for name, source in self.config.problems.items():
-            if name not in held or ScenarioSet.of(source):
+        for name, source in problems.items():
+            if name not in held:
                 sets[name] = load_set(name, source)
-            if name in held:
-                kept = load_problems(str(folder / name))
-                for problem in sets.get(name, ()):
-                    if kept.get(problem) != sets[name][problem]:
-                        file = folder / name / f"{problem}.gr"
-                        raise InputError(f"{file}: expected the problem of {name}, found another")
-                sets[name] = kept
+                continue
+            sets[name] = load_problems(str(folder / name))
+            if ScenarioSet.of(source):
+                self._check_kept(name, sets[name], load_set(name, source))
+            elif not isinstance(source, Mapping) or "path" in source:
+                self._check_kept(name, sets[name], _as_now(load_set, name, source))
         return sets
+
+    def _check_kept(
+        self, name: str, kept: Mapping[str, Problem], now: Mapping[str, Problem] | None
+    ) -> None:
+        """Raises InputError unless the problems of a set are those that the folder holds.
+
+        Args:
+            name: of the set.
+            kept: what the folder holds.
+            now: what the set is; None if that is not known.
+        """
+        now = kept if now is None else now
+        for problem in sorted(kept.keys() | now.keys()):
+            if kept.get(problem) != now.get(problem):
+                file = self.folder / "problems" / name / f"{problem}.gr"
+                raise InputError(
+                    f"{file}: expected the problem of {name}, found another: if the set has "
+                    "changed, give another out="
+                )
 
     def _keep(self, before: ExperimentConfig | None) -> None:
         """Writes the new problems, and then the configuration of all that the folder holds."""
@@ -145,11 +172,16 @@ class Experiment:
             name = path.parent.name
             if (before is None or name in new) and path.stem not in self.sets.get(name, ()):
                 raise InputError(f"{path}: expected only problems of this experiment")
-        # One part of each router and set, of those that are not finished.
-        parts = {(part.set, part.entry.name): part for part in self._left()}
+        # One part of each router and set, of those that are not finished: that of the largest seed.
+        left = sorted(self._left(), key=lambda part: part.seed or 0)
+        parts = {(part.set, part.entry.name): part for part in left}
         for part in parts.values():
             part.check(self.sets[part.set])
         for name, problems in new.items():
+            lost = sorted({what for problem in problems.values() for what in problem.beyond_text})
+            if lost:
+                text = "routed and judged as ISPD text, which does not hold"
+                warnings.warn(f"problems.{name}: {text}: {', '.join(lost)}", stacklevel=2)
             for problem in problems:
                 problems[problem].write(self.folder / "problems" / name / f"{problem}.gr")
         plain = asdict(self.config)
@@ -300,6 +332,14 @@ class Experiment:
 
 _FREE = ("only", "label", "training_seconds")
 """Keys of entries that may change: no row depends on them."""
+
+
+def _as_now(load: Callable[..., Any], *of: Any) -> Any:
+    """What is loaded; None if it cannot be."""
+    try:
+        return load(*of)
+    except InputError:
+        return None
 
 
 def _lines(path: Path) -> int:

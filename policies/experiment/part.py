@@ -137,6 +137,8 @@ class Part:
 
             for name, problem in problems.items():
                 TrainedPolicy.load(self.options["checkpoint"], name).check(problem)
+        else:
+            _ = self._router("")
 
     def _quote(self) -> list[Row]:
         """The rows of a published router; raises InputError if one is missing."""

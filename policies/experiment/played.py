@@ -99,7 +99,8 @@ def play(
         radius = local_radius_of(observation)
         env = play_split(policy.moves, scenario, split, local=radius is not None, **own)
     sight = WHOLE if radius is None else f"radius {radius}"
-    sight += f", {game.message_bits} bits" if game.message_bits else ""
+    if game.message_bits:
+        sight += f", {game.message_bits} bit{'s' * (game.message_bits > 1)}"
     told = build(TrainingFigures, getattr(policy, "training", None) or {}, "training")
     about = {
         "sight": sight,

@@ -116,6 +116,8 @@ class GeneralistOptions:
         check_fields(self, seconds=(0, np.inf), temperature=(0, np.inf), **counted)
         exact = self.exact_pins == 0 or 2 <= self.exact_pins <= MOST_PINS
         check("exact_pins", exact, f"0, or a number from 2 to {MOST_PINS}")
+        network = self.policy == "network" or self.weights is None
+        check("weights", network, f"null with policy={self.policy}, which has no network")
 
 
 class GeneralistRouter:

@@ -130,7 +130,7 @@ class Config:
 
     def __post_init__(self) -> None:
         take_pieces(self)
-        check("seed", 0 <= self.seed < 2**63, "a number from 0")
+        check("seed", 0 <= self.seed < 2**63, f"0 to {2**63 - 1}, found {self.seed}")
         wanted, found = getattr(self.learner.cls, "agents", None), self.env.agents
         what = f"{wanted} for {self.learner.name}, found {found}"
         check("env.agents", wanted in (None, found), what)

@@ -108,6 +108,7 @@ class TrainedPolicy:
         origin: where it is from, for reports.
         negotiation: its prices; None: none.
         training: what its training took, as :class:`policies.results.run_folder.TrainingFigures`.
+        learner: the name of what learned it.
     """
 
     def __init__(
@@ -119,8 +120,9 @@ class TrainedPolicy:
         origin: str = "",
         negotiation: Negotiation | None = None,
         training: Mapping[str, Any] | None = None,
+        learner: str = "",
     ) -> None:
-        self.training = dict(training or {})
+        self.training, self.learner = dict(training or {}), learner
         self.module, self.masking = module, masking
         self.obs_shape, self.env, self.origin = obs_shape, env, origin
         self.negotiation = negotiation
@@ -169,7 +171,7 @@ class TrainedPolicy:
             raise InputError(f"{where}: weights do not fit the network: {reason}") from None
         origin = policy_origin(kept["episodes"][row])
         told = kept.get("negotiation"), asdict(kept.get("figures") or TrainingFigures())
-        return TrainedPolicy(module, masking, obs_shape, env, origin, *told)
+        return TrainedPolicy(module, masking, obs_shape, env, origin, *told, learner.name)
 
     def act(self, observation: NDArray[np.float32], mask: NDArray[np.int8]) -> int:
         """The best move; see :class:`policies.routers.base.Policy`."""

@@ -22,7 +22,13 @@ from marouting.files import FILE_NAME, exists, is_file_name, naming, write_text,
 from marouting.generator import GeneratorOptions
 from marouting.registry import allowing_code
 from marouting.scenarios import get
-from marouting.source import ProblemSampler, ProblemStream, fixed_problems, load_problems
+from marouting.source import (
+    MOST_PROBLEMS,
+    ProblemSampler,
+    ProblemStream,
+    fixed_problems,
+    load_problems,
+)
 from policies.interrupts import ENDING, holding
 from policies.learned.checkpoint import read_checkpoint
 from policies.learned.config import Config, load_config
@@ -134,12 +140,22 @@ def trainer_of(
         return Trainer(problems, config)
     if on_device(config):
         return DeviceTrainer(problems, config, episodes)
-    draws = ProblemSampler(episodes, config.seed, config.train.games or 1)
+    games = config.train.games or 1
+    what = f"1 to {MOST_PROBLEMS} on the processor, found {games}"
+    check("train.games", games <= MOST_PROBLEMS, what)
+    draws = ProblemSampler(episodes, config.seed, games)
     return Trainer(problems, config, draws)
 
 
 _GENERATED = 10
 """Problems that a network is evaluated on that learns from a generator without a seed."""
+
+
+LENGTHS = ("episodes", "steps", "seconds")
+"""Keys of ``train`` that end a training; a run that is resumed may be given larger numbers."""
+
+FALLING = ("epsilon_final", "anneal")
+"""Options of learners that depend on how long the training is."""
 
 
 class Run:
@@ -168,7 +184,7 @@ class Run:
         if config.train.reference is not None:
             self.reference = read_reference(Path(config.train.reference))
         self.folder = Path(config.out)
-        self.had: int | None = None
+        self.had: dict[str, Any] = {}  # keys of ``train`` that were smaller
         if resume:
             self._check_same()
         else:
@@ -219,16 +235,18 @@ class Run:
             )
 
     def _check_same(self) -> None:
-        """A resumed run has the configuration that it started with, or more episodes."""
+        """A resumed run has the configuration that it started with, or is longer."""
         with allowing_code_of(self.config):
             kept = load_config(self.folder / CONFIG)
-        had, episodes = kept.train.episodes, self.config.train.episodes
-        what = f"{had}, as in {self.folder / CONFIG}, or more, found {episodes}"
-        check("train.episodes", episodes >= had, what)
-        mine = replace(self.config, out=kept.out, train=replace(self.config.train, episodes=had))
+        for name in LENGTHS:
+            had, now = getattr(kept.train, name), getattr(self.config.train, name)
+            if had is not None and now is not None and had != now:
+                what = f"{had}, as in {self.folder / CONFIG}, or more, found {now}"
+                check(f"train.{name}", now > had, what)
+                self.had[name] = had
+        train = replace(self.config.train, **self.had)
+        mine = replace(self.config, out=kept.out, train=train)
         check_same(plain(mine), plain(kept), self.folder / CONFIG)
-        if episodes > had:
-            self.had = had
 
     def _load(self) -> None:
         path = self.folder / CHECKPOINT
@@ -331,6 +349,13 @@ class Run:
         return min(int(self.trainer.steps.sum()), steps), steps, "steps"
 
     @property
+    def length(self) -> str:
+        """The key of ``train`` that ends the training."""
+        if self.trainer.spent >= 1:
+            return "seconds"
+        return "episodes" if self.config.train.steps is None else "steps"
+
+    @property
     def finished(self) -> list[Row] | None:
         """The rows of ``result.json`` if the run is finished, else None; raises InputError."""
         if self.trainer.running.any() or not exists(self.folder / RESULT):
@@ -362,7 +387,7 @@ class Run:
 
     def _execute(self, watch: Callable[[Sequence[Episode]], Any] | None) -> list[Row]:
         config, trainer = self.config, self.trainer
-        if self.had is not None:
+        if self.had:
             # It is no finished run any more, wherever it is stopped now.
             write_config(config, self.folder / CONFIG)
             (self.folder / RESULT).unlink(missing_ok=True)

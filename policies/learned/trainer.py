@@ -477,13 +477,16 @@ class Trainer:
             array[...] = arrays[name]
         self._before[...] = arrays["before"]
         over = (player.engine.games["active"] == 0).reshape(-1, self._copies)
-        if ((self._trains & (self.episodes < then))[:, None] & over).any():
+        train = self.config.train
+        # A run that ended by its steps or seconds may be going on with more of them.
+        bounded = train.steps is not None or train.seconds is not None
+        if not bounded and ((self._trains & (self.episodes < then))[:, None] & over).any():
             raise InputError(f"{where}: expected games of all problems with episodes to train")
         running = self.running
-        if running.any() and not running.all() and not self.config.train.shared:
+        if running.any() and not running.all() and not train.shared:
             self._keep(np.flatnonzero(running))
             over, running = over[running], running[running]
-        if then < most:  # where all had been played, more are to come
+        if bounded or then < most:  # where all had been played, more are to come
             self.player.reset((over & running[:, None]).ravel())
         self._tell_episodes()
 

@@ -94,7 +94,7 @@ def _hot_spots(problem: Problem, solution: Solution) -> Iterator[dict[str, Any]]
     wire = edges % AXES != VIA_AXIS
     edges, tracks = edges[wire], tracks[wire]
     capacity = problem.capacity_of(edges).astype(np.int64)
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):
         share = np.where(tracks > 0, tracks / capacity, 0.0)
     worst = np.lexsort((edges, -share, -np.maximum(tracks - capacity, 0)))[:MOST_SPOTS]
     net, edge = solution.uses

@@ -164,7 +164,7 @@ class FusedDQN(DQN):
             InputError: ``fused`` is true and :func:`obstacle` says why it does not apply.
         """
         reason = obstacle(setup, options)
-        check("fused", not options.fused or reason is None, f"false: {reason}")
+        check("learner.fused", not options.fused or reason is None, f"false: {reason}")
         plain = reason is not None or options.fused is False
         return DQN(setup, options) if plain else cls(setup, options)
 

@@ -86,7 +86,7 @@ class PPOOptions:
         bounds = dict.fromkeys(("gamma", "gae_lambda"), (0, 1))
         bounds |= {"num_envs": (1, 65536), "minibatch": (2, MOST), "epochs": (1, 1000)}
         check_fields(self, entropy=(0, math.inf), rollout=(1, LONGEST), **bounds)
-        what = f"a multiple of minibatch, {self.minibatch}, up to {LONGEST}"
+        what = f"a multiple of minibatch, {self.minibatch}, found {self.rollout}"
         check("rollout", self.rollout % self.minibatch == 0, what)
         for name in ("learning_rate", "clip", "reward_scale", "max_gradient"):
             check(name, getattr(self, name) > 0, "a number above 0")
@@ -115,12 +115,16 @@ class PPO(Learner):
         super().__init__(setup, options)
         o, count, player = options, len(setup.names), setup.player
         check(
-            "turn_order",
+            "env.turn_order",
             player.everyone or player.engine.static.sequential,
             "sequential, for ppo with agents: single",
         )
         self.central = o.critic == "central"
-        check("critic", not self.central or setup.state_shape, "local: there is no global state")
+        check(
+            "learner.critic",
+            not self.central or setup.state_shape,
+            "local: there is no global state",
+        )
         features = int(np.prod(setup.obs_shape)) + int(np.prod(setup.state_shape))
         sees = (features,) if self.central else setup.obs_shape
         self.path = f"torch, batched on {setup.device}"

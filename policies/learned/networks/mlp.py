@@ -44,7 +44,9 @@ class MLP(nn.Module):
     ) -> None:
         super().__init__()
         if not all(1 <= units <= 4096 for units in hidden):
-            raise InputError(f"hidden: expected numbers from 1 to 4096, found {hidden}")
+            raise InputError(
+                f"learner.network.hidden: expected numbers from 1 to 4096, found {hidden}"
+            )
         self.obs_shape, self.dueling, self.activation = obs_shape, dueling, activation
         self.sizes = (math.prod(obs_shape), *hidden, outputs + dueling)
         self.layers = nn.ModuleList(Affine(a, b, init) for a, b in itertools.pairwise(self.sizes))

@@ -35,6 +35,10 @@ SLIP = 0.01
 """How far the solver's bound of an integer program is distrusted: much more than its tolerances
 amount to, yet too little to matter once the bound is rounded up."""
 
+MOST_TRACKS = 2**24
+"""The most tracks that all nets together may take of an edge. With larger sums, rounding comes near
+to the solver's tolerances, and it may call infeasible what is not."""
+
 Stop = Literal["time limit", "solver limit"]
 
 
@@ -76,7 +80,8 @@ class Flows:
             return lower, None
         pairs = zip(edges, candidates.pins, strict=True)
         size = [2 * len(own) * _flows(pins) for own, pins in pairs]
-        if sum(size) > MAX_COLUMNS:
+        tracks = candidates.demand.max(axis=1, initial=0)[candidates.kind].sum()
+        if sum(size) > MAX_COLUMNS or tracks > MOST_TRACKS:
             return lower, "solver limit"
         excess = None if objective.wirelength else 1
 
