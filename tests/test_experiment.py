@@ -494,7 +494,7 @@ ASTAR = {"a": {"router": "astar"}}
 REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "unknown key": ({"router": ASTAR}, "router: unknown key; did you mean routers?"),
     "no routers": ({"routers": {}}, "routers: expected at least one"),
-    "no router": ({"routers": {"a": {}}}, "routers.a: router: unknown name 'None'"),
+    "no router": ({"routers": {"a": {}}}, "routers.a: expected a router"),
     "unknown router": ({"routers": {"a": {"router": "astr"}}}, "did you mean astar?"),
     "unknown option": ({"routers": {"a": {"router": "astar", "order": 1}}}, "order: unknown key"),
     "wrong option": (

@@ -363,7 +363,7 @@ def test_the_simple_forms_of_pieces() -> None:
     single.reset()
     assert [single.step(4)[1], single.step(5)[1]] == [2, 4]
     for name in pieces:
-        with pytest.raises(InputError, match=rf"{name}: expected .* single environments"):
+        with pytest.raises(InputError, match=rf"{name}: expected .* gymnasium.make need"):
             BatchEnv([problem], **{name: pieces[name]})
 
 
