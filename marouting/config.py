@@ -172,7 +172,7 @@ def parse_yaml(text: str, name: str) -> Any:
         return yaml.load(text, Loader=_Loader)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        line = f":{mark.line + 1}" if mark and "\n" in text else ""
+        line = f":{mark.line + 1}" if mark and not name.endswith(text) else ""  # key=value has none
         raise InputError(f"{name}{line}: expected YAML: {error.problem}") from None
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         reason = (str(error).splitlines() or ["it cannot be read"])[0]

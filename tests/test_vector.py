@@ -124,7 +124,7 @@ def test_actions_of_another_shape_are_refused() -> None:
     batch.reset()
     with pytest.raises(ValueError, match=r"actions: expected shape \(3, 6\)"):
         batch.step(np.zeros(3, np.int8))
-    with pytest.raises(ValueError, match="moves"):
+    with pytest.raises(ValueError, match="actions: expected"):
         batch.step(np.full((3, 6), 6, np.int8))
 
 
