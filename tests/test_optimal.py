@@ -25,6 +25,7 @@ from marouting.config import build
 from marouting.problem.grid import AXES, VIA_AXIS, Grid
 from policies.routers.base import Router, solve, warm_up
 from policies.routers.optimal import OptimalRouter, Optimum
+from policies.routers.optimal.flows import MOST_TRACKS
 from policies.routers.optimal.priced_tree import NEVER, Across, Window, cheapest_priced_tree
 from policies.routers.optimal.router import MOST_PINS
 from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
@@ -322,12 +323,19 @@ def test_nets_of_different_widths() -> None:
     assert optimum_of(replace(problem, nets=made)) == (0, 8)
 
 
-def test_overflow_of_one_wide_net() -> None:
+@pytest.mark.parametrize("width", [10**6, 10**7, 10**9])
+def test_overflow_of_one_wide_net(width: int) -> None:
     """No edge is wide enough, so the net overflows on two edges at least."""
     problem = plane({"wide": [(0, 0), (2, 0)]}, (3, 2))
     [net] = problem.nets
-    huge = replace(problem, nets=(replace(net, min_width=10**9),))
-    assert optimum_of(huge) == (2 * (10**9 - 1), 2)
+    wide = replace(problem, nets=(replace(net, min_width=width),))
+    if width <= MOST_TRACKS:
+        assert optimum_of(wide) == (2 * (width - 1), 2)
+        return
+    found = proven(wide, OptimalRouter())
+    assert (found.overflow, found.wirelength) == (2 * (width - 1), 2)
+    assert found.bound_overflow <= found.overflow
+    assert found.status == "solver limit"
 
 
 def test_layers_that_take_vias_only() -> None:
