@@ -5,7 +5,7 @@ TorchRL's ``PettingZooWrapper`` plays one game at a time, and needs ``agents_per
     from policies.integrations.torchrl import RoutingEnv
 
     env = RoutingEnv(marouting.generate(16, nets=10), reward="normalised")
-    env.rollout(100)["next", "nets", "reward"]  # (16, 100, 10, 1)
+    env.rollout(100)["next", "nets", "reward"]  # (16, 50, 10, 1)
 
 A policy that :func:`save` has saved is scored by ``marouting benchmark --router
 'policies.integrations.torchrl:Policy file=policy.pt'``, or in Python

@@ -203,7 +203,10 @@ def train(
             of another training.
     """
     if (known := out / ROW).exists():
-        return build_json(dict[str, Any], read_text(known, 2**24), str(known))
+        row = build_json(dict[str, Any], read_text(known, 2**24), str(known))
+        mine = {"row": algorithm, "scenario": scenarios.get(scenario).name, "seed": seed}
+        check("out", mine.items() <= row.items(), f"a new folder: {out} holds another training")
+        return row
     check("out", not out.exists(), f"a new folder, found {out}")
     check("steps", steps >= 1, "a number from 1")
     torch.set_num_threads(1)
