@@ -340,7 +340,7 @@ def _nets(
     # How often each distance is drawn; pins off the grid are drawn again.
     lengths = np.arange(1, int(sides.sum()) - 1)
     chances = np.cumsum(lengths ** (2.0 * options.rent - 3)) if options.rent is not None else None
-    most = 300 * max(options.max_pins, 100)  # draws for a net
+    most = 300 * max(options.max_pins, 100)  # draws for a net, many more than nets with room take
 
     def first() -> NDArray[np.integer]:
         if options.hot_spots and rng.random() < 0.5:
