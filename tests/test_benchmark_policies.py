@@ -79,6 +79,18 @@ class Listed(First):
 
 class Many(First):
     parameters = "many"
+
+
+class Loads(First):
+    def __init__(self, file: str = "", folder: str = ""):
+        self.reverse = False
+
+
+class Trained(First):
+    def __init__(self, file: str):
+        self.reverse = False
+        steps, seconds = map(float, open(file).read().split())
+        self.training = {"agent_steps": int(steps), "processor_seconds": seconds}
 """
 
 
@@ -201,6 +213,50 @@ def test_own_policies_are_rows(capsys: pytest.CaptureFixture[str]) -> None:
     assert (row["agent_steps"], row["training_seconds"]) == (7, 1.5)
     row = row_of(capsys, "--router", "own:Far", "--name", "far")
     assert row["sight"] == "whole board"
+
+
+def test_rows_of_what_has_changed_since_are_refused(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (here / "mine.py").write_text(OWN)
+    (here / "kept").mkdir()
+    files = [here / name for name in ("mine.py", "weights.txt", "kept/weights.txt")]
+    for file in files[1:]:
+        file.write_text("1")
+    words = "--router", "mine:Loads file=weights.txt folder=kept", "--name", "loads"
+    for file, named in zip(files, ("mine:Loads", "weights.txt", "kept"), strict=True):
+        out = f"changed-{file.parent.name}-{file.stem}"
+        assert status(benchmark(*words, out=out)) == 0
+        before = file.read_text()
+        file.write_text(f"{before}\n")
+        assert status(benchmark(*words, out=out)) == 2
+        error = capsys.readouterr().err.splitlines()[-1]
+        said = f"marouting: {named}: expected that of the rows in {out}, found it changed"
+        assert error == f"{said}: give another out"
+        file.write_text(before)
+        assert status(benchmark(*words, out=out)) == 0
+        # Without rows there is nothing that could be of another content.
+        file.write_text(f"{before}\n")
+        shutil.rmtree(here / out / "rows")
+        assert status(benchmark(*words, out=out)) == 0
+        file.write_text(before)
+    assert status(benchmark(*words, out="changed-last")) == 0
+    (here / "weights.txt").unlink()  # rows are enough
+    assert status(benchmark(*words, out="changed-last")) == 0
+
+
+def test_seeds_of_different_budgets_are_no_row(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["--router", "own:Trained file=took-{seed}.txt", "--name", "took", "--seeds", "2"]
+    budgets = {"same": (1000, 5.0), "time": (3000, 4.0), "other": (9000, 50.0)}
+    (here / "took-0.txt").write_text("1000 4.5")
+    for out, (steps, seconds) in budgets.items():
+        (here / "took-1.txt").write_text(f"{steps} {seconds}")
+        assert status(benchmark(*words, out=f"budgets-{out}")) == (2 if out == "other" else 0)
+    error = capsys.readouterr().err.splitlines()[-1]
+    what = "expected trainings of one length, found agent-steps of [1000, 9000]"
+    assert error == f"marouting: routers.took: seeds: {what}"
 
 
 REFUSED = {

@@ -1,6 +1,7 @@
 """Policies that imitate a local rule."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -46,3 +47,16 @@ def test_demonstrations_are_choices() -> None:
     assert len(obs) == len(masks) == len(moves) >= 500
     assert (masks.sum(-1) > 1).all()
     assert masks[np.arange(len(moves)), moves].all()
+
+
+def test_demonstrations_are_of_nets_that_move() -> None:
+    """Where nets arrive one by one, those that wait show nothing that was done."""
+    steps: list[int] = []
+
+    class Counting(LocalRouter):
+        def moves(self, *given: Any) -> Any:
+            steps.append(len(given[0].problems))
+            return super().moves(*given)
+
+    _, _, moves = demonstrations("online-8x8-v0", Counting(radius=3), 500, seed=1)
+    assert 500 <= len(moves) <= sum(steps)

@@ -414,3 +414,29 @@ def test_warnings_are_a_line(folder: Path) -> None:
     )
     assert second.startswith(f"marouting: warning: wrong.solution:1: net {name}: expected ")
     assert json.loads(ended.stdout)["connected"]
+
+
+@pytest.mark.parametrize(
+    ("module", "hint"),
+    [
+        ("stable_baselines3", ": pip install 'marouting[sb3]'"),
+        ("benchmarl", ": pip install 'marouting[benchmarl]'"),
+        ("ray", ": pip install 'marouting[rllib]'"),
+        ("torch", ": pip install 'marouting[learn]'"),
+        ("someone_elses", ""),
+    ],
+)
+def test_what_is_missing_is_named_with_the_extra_that_has_it(
+    module: str,
+    hint: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (tmp_path / f"imports_{module}.py").write_text(f"import {module}.parts\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setitem(sys.modules, module, None)
+    words = ["route", "toy-4x4-v0/0", "--router", f"imports_{module}:Router"]
+    assert status(words) == 2
+    named = rf"marouting: {module}(\.parts)? is missing{re.escape(hint)}\n"
+    assert re.fullmatch(named, capsys.readouterr().err)

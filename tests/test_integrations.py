@@ -552,9 +552,18 @@ def test_value_decomposition_makes_a_row(algorithm: str, tmp_path: Path) -> None
     steps = 12_000
     out, more = tmp_path / "run", {"off_policy_n_optimizer_steps": 60}
     row = train(algorithm, "gates-8x7-v0", steps, 0, out, **more)
-    assert json.loads(json.dumps(train(algorithm, "gates-8x7-v0", steps, 0, out))) == json.loads(
-        json.dumps(row)
-    )  # a finished training is not repeated
+    again = train(algorithm, "gates-8x7-v0", steps, 0, out, **more)  # is not trained again
+    assert json.loads(json.dumps(again)) == json.loads(json.dumps(row))
+    other = "qmix" if algorithm == "vdn" else "vdn"
+    for asked, changes in (
+        ((other, "gates-8x7-v0", steps, 0), more),
+        ((algorithm, "gates-mixed-v0", steps, 0), more),
+        ((algorithm, "gates-8x7-v0", 2 * steps, 0), more),
+        ((algorithm, "gates-8x7-v0", steps, 1), more),
+        ((algorithm, "gates-8x7-v0", steps, 0), {}),
+    ):
+        with pytest.raises(InputError, match=r"^out: expected a new folder: .* another training"):
+            train(*asked, out, **changes)
     assert steps <= row["agent_steps"] < steps + 64 * 4 * 20
     assert row["curve"][-1][0] == row["agent_steps"]
     assert Path(row["file"]).exists()
@@ -566,6 +575,32 @@ def test_value_decomposition_makes_a_row(algorithm: str, tmp_path: Path) -> None
         found = row[split]
         assert (found["scenario"], found["split"]) == ("gates-8x7-v0", split)
         assert found["cost"] < evaluate_policy(at_random, "gates-8x7-v0", split).cost - 0.5
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--set", "gama=0.9"], r"gama"),
+        (["--set", "gamma=2"], r"gamma: expected a number from 0 to 1"),
+        (["--set", "lr=high"], r"lr: expected a number"),
+        (["--set", "lr"], r"lr: expected key=value"),
+        (["--seed", "-1"], r"seed: expected a number from 0"),
+        (["--steps", "0"], r"steps: expected a number from 1"),
+        (["--scenario", "gates"], r"gates"),
+    ],
+)
+def test_value_decomposition_refuses_in_one_line(
+    words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("benchmarl")
+    from policies.cli.main import status
+    from policies.integrations.value_decomposition import main
+
+    asked = ["vdn", "--scenario", "gates-8x7-v0", "--out", str(tmp_path / "new" / "run"), *words]
+    assert status(asked, main, "value_decomposition") == 2
+    (error,) = capsys.readouterr().err.splitlines()
+    assert re.search(said, error), error
+    assert not list(tmp_path.iterdir())
 
 
 def test_value_decomposition_goes_on_from_its_state(

@@ -82,6 +82,16 @@ _RENAMED_OPTIONS = {
 }
 """Options removed in version 0.3, and their replacements."""
 
+_EXTRAS = {
+    **dict.fromkeys(("stable_baselines3", "sb3_contrib"), "sb3"),
+    **dict.fromkeys(("torchrl", "tensordict"), "torchrl"),
+    "benchmarl": "benchmarl",
+    "ray": "rllib",
+    **dict.fromkeys(("PIL", "filelock", "matplotlib", "rich", "supersuit"), "learn"),
+    **dict.fromkeys(("scipy", "tensorboard", "torch"), "learn"),
+}
+"""The extra that brings a package which commands and integrations import."""
+
 
 class _Commands(click.Group):
     """The commands; an unknown name is an error that lists them."""
@@ -648,7 +658,9 @@ def status(
     except click.ClickException as error:
         return _complain(error.format_message())
     except ModuleNotFoundError as error:
-        return _complain(f"{error.name} is missing: pip install 'marouting[learn]'")
+        extra = _EXTRAS.get(str(error.name).partition(".")[0])
+        hint = f": pip install 'marouting[{extra}]'" if extra else ""
+        return _complain(f"{error.name} is missing{hint}")
     except UnicodeEncodeError as error:  # of a path; all that is printed can be
         return _complain(f"{error.object[:200]}: expected a path in the encoding {error.encoding}")
     except MemoryError as error:

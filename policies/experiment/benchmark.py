@@ -54,6 +54,9 @@ SEEDS = 3
 POINTS = 40
 """Points of a learning curve."""
 
+_SPREAD = 1.5
+"""Trainings of one budget differ by less, in agent-steps or in processor time."""
+
 _ABOUT_BYTES = 2**16
 """The largest file about a policy that is read."""
 
@@ -363,11 +366,15 @@ class Benchmark(Experiment):
             for key in ("sight", "teacher", "parameters"):
                 expected, own = getattr(found[0], key), getattr(one, key)
                 check(f"{file}: {key}", own == expected, f"{expected}, as in {files[0]}")
-        means = {
-            key: None if None in of else statistics.fmean(of)
-            for key in ("agent_steps", "training_seconds")
-            if (of := [getattr(one, key) for one in found])
+        took = {
+            key: [getattr(one, key) for one in found] for key in ("agent_steps", "training_seconds")
         }
+        told = [of for of in took.values() if None not in of]
+        lengths = took["agent_steps"]
+        apart = told and all(max(of) > _SPREAD * min(of) for of in told)
+        what = f"trainings of one length, found agent-steps of {lengths}"
+        check(f"routers.{entry.name}: seeds", not apart, what)
+        means = {key: None if None in of else statistics.fmean(of) for key, of in took.items()}
         steps, seconds = means["agent_steps"], means["training_seconds"]
         return replace(
             found[0],

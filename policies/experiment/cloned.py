@@ -63,9 +63,11 @@ def demonstrations(
     obs, info = env.reset()
     while found < moves:
         chosen = rule.moves(env.engine, rng)
-        mask = info["action_mask"] != 0
-        rows = info["active"] & (mask.sum(-1) > 1)
-        now, allowed, move = obs[rows].copy(), mask[rows], chosen[rows].astype(np.int64)
+        shown, mask = obs.copy(), info["action_mask"] != 0
+        obs, *_, info = env.step(chosen)
+        # In sequential order only one net of a game moves.
+        rows = info["acted"] & (mask.sum(-1) > 1)
+        now, allowed, move = shown[rows], mask[rows], chosen[rows].astype(np.int64)
         if has_move_order(env.observation):
             order = move_order_of(
                 env.observation, now, env.engine.actions, env.engine.rules.messages
@@ -76,7 +78,6 @@ def demonstrations(
         masks.append(allowed)
         made.append(move)
         found += len(move)
-        obs, *_, info = env.step(chosen)
     env.close()
     return np.concatenate(seen), np.concatenate(masks), np.concatenate(made)
 

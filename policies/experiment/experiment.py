@@ -14,6 +14,7 @@ from marouting.config import (
     MOST_TEXT,
     allowing_code_of,
     build,
+    build_json,
     check,
     check_code,
     check_same,
@@ -177,6 +178,7 @@ class Experiment:
         parts = {(part.set, part.entry.name): part for part in left}
         for part in parts.values():
             part.check(self.sets[part.set])
+        digests = self._digests()
         for name, problems in new.items():
             lost = sorted({what for problem in problems.values() for what in problem.beyond_text})
             if lost:
@@ -191,6 +193,31 @@ class Experiment:
         text = yaml_text(json.loads(json.dumps(plain)))
         if before is None or text != read_text(self.folder / CONFIG, MOST_TEXT):
             write_text(self.folder / CONFIG, text)
+        write_text(self.folder / DIGESTS, json.dumps(digests, indent=1) + "\n")
+
+    def _digests(self) -> dict[str, dict[str, str]]:
+        """By router, digests of what its options name: files of policies, and code of the user's.
+
+        Raises:
+            InputError: rows were made with another content. What is gone is not compared.
+        """
+        file = self.folder / DIGESTS
+        kept: dict[str, dict[str, str]] = {}
+        if file.exists():
+            kept = build_json(dict[str, dict[str, str]], read_text(file, MOST_TEXT), str(file))
+        for entry in self.entries:
+            if not entry.routes:
+                continue  # what others made is read again every time
+            own = [part for part in self.parts if part.entry.name == entry.name]
+            seeds = {part.seed: part for part in own}.values()
+            now = {name: of for part in seeds for name, of in part.digests().items()}
+            before = kept.get(entry.name, {}) if any(part.rows.exists() for part in own) else {}
+            for name in now.keys() & before.keys():
+                what = f"that of the rows in {self.folder}, found it changed: give another out"
+                check(name, now[name] == before[name], what)
+            if now or entry.name in kept:
+                kept[entry.name] = before | now
+        return kept
 
     @cached_property
     def parts(self) -> tuple[Part, ...]:
@@ -329,6 +356,9 @@ class Experiment:
         add_gaps(ordered)
         return ordered
 
+
+DIGESTS = "digests.json"
+"""Of files and code that the rows of an experiment depend on."""
 
 _FREE = ("only", "label", "training_seconds")
 """Keys of entries that may change: no row depends on them."""

@@ -1,6 +1,8 @@
 """A part of an experiment's work, which one process can do, and the processes that do parts."""
 
+import hashlib
 import json
+import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -8,8 +10,8 @@ from pathlib import Path
 from typing import Any, cast
 
 from marouting import InputError, Problem, Solution
-from marouting.config import allowing_code_of, build
-from marouting.files import naming, suffix_of, write_text
+from marouting.config import allowing_code_of, build, code_named
+from marouting.files import exists, is_dir, is_file, naming, suffix_of, write_text
 from policies.engines import Call, EngineName, opened
 from policies.experiment.config import (
     PARTS,
@@ -86,6 +88,18 @@ class Part:
             name: value.replace(SEED, seed) if isinstance(value, str) else value
             for name, value in self.entry.options.items()
         }
+
+    def digests(self) -> dict[str, str]:
+        """SHA-256 of the files that its options name and of the user's own classes, by their names.
+
+        Folders count only under the key ``folder``. A class stands for the file that it is in.
+        """
+        files = {name: Path(name) for name in _files_named(self.options)}
+        for _, name in code_named({"router": self.entry.router, **self.options}):
+            module = sys.modules[name.partition(":")[0]]
+            if not name.startswith(("marouting.", "policies.")) and module.__file__ is not None:
+                files[name] = Path(module.__file__)
+        return {name: _digest(path) for name, path in sorted(files.items()) if exists(path)}
 
     @property
     def gpus(self) -> int:
@@ -271,6 +285,27 @@ class Part:
         else:
             parts["env"]["scenario"] = self.entry.zero_shot
         return build(Config, {"seed": self.seed, **parts})
+
+
+def _files_named(options: Mapping[str, Any]) -> Iterator[str]:
+    """The values of options, also inside others, that are names of files."""
+    for key, value in options.items():
+        if isinstance(value, Mapping):
+            yield from _files_named(value)
+        elif isinstance(value, str) and (is_file(value) or (key == "folder" and is_dir(value))):
+            yield value
+
+
+def _digest(path: Path) -> str:
+    """A digest of a file, or of all files in a folder with their names."""
+    found = hashlib.sha256()
+    with naming(path, "cannot be read"):
+        for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
+            if file.is_file():
+                found.update(f"{file.relative_to(path)}\n".encode())
+                with file.open("rb") as content:
+                    found.update(hashlib.file_digest(content, "sha256").digest())
+    return found.hexdigest()
 
 
 _warm: set[str] = set()

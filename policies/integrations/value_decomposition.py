@@ -12,7 +12,8 @@ does nothing. ``--steps`` are agent-steps, the moves that nets make. What is pri
 ``marouting benchmark`` with ``--seeds 5`` and, as the router,
 ``policies.integrations.benchmarl:Policy file=runs/qmix-{seed}/checkpoints/checkpoint_last.pt``.
 
-What is set here, of BenchMARL 1.5's options (``benchmarl/conf``):
+What is set here, of BenchMARL 1.5's options (``benchmarl/conf``); :class:`Options` has those that
+``--set`` can change:
 
 ==============================  ==========  ========================================================
 ``lr``                          5e-4        5e-5, the default, is for ten times as many frames
@@ -44,6 +45,7 @@ import pkgutil
 import shutil
 import sys
 import time
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +57,7 @@ from benchmarl.models.mlp import MlpConfig
 from torch import nn
 
 from marouting import evaluate_policy, scenarios
-from marouting.config import build_json, check
+from marouting.config import build, build_json, check, override
 from marouting.files import read_text, write_text, writing
 from policies.command import Command
 from policies.integrations.benchmarl import ROW, Moves, RoutingClass
@@ -67,6 +69,25 @@ REWARD = {"kind": "team", "overflow": 1.0, "open": 1.0, "wirelength": 0.05}
 
 GAMES = 64
 """Games that are played side by side."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options of BenchMARL's experiment that can be set, with BenchMARL's names."""
+
+    lr: float = 5e-4
+    gamma: float = 0.99
+    polyak_tau: float = 0.01
+    off_policy_n_optimizer_steps: int = 40
+    exploration_eps_init: float = 1.0
+    exploration_eps_end: float = 0.05
+
+    def __post_init__(self) -> None:
+        for name in ("gamma", "polyak_tau", "exploration_eps_init", "exploration_eps_end"):
+            check(name, 0 <= getattr(self, name) <= 1, "a number from 0 to 1")
+        check("lr", self.lr > 0, "a number above 0")
+        steps = self.off_policy_n_optimizer_steps
+        check("off_policy_n_optimizer_steps", steps >= 1, "a number from 1")
 
 
 class _Steps(Callback):
@@ -194,53 +215,55 @@ def train(
         scenario: the name of a scenario.
         steps: agent-steps.
         seed: a whole number from 0.
-        out: the folder for BenchMARL's files. The row of a training that it holds is returned.
+        out: the folder for BenchMARL's files. If it holds this very training, finished, its row is
+            returned.
         every: after so many seconds the state of the training is written.
-        **changes: options of BenchMARL's experiment in place of those above.
+        **changes: see :class:`Options`.
 
     Raises:
-        InputError: there is no such scenario, the folder is in use, or the state beside it is that
-            of another training.
+        InputError: there is no such scenario, an option cannot be used, or the folder or the state
+            beside it is that of another training.
     """
+    options = build(Options, changes)
+    found = scenarios.get(scenario)
+    check("steps", steps >= 1, "a number from 1")
+    check("seed", 0 <= seed < 2**32, f"a number from 0 to {2**32 - 1}")
+    asked = {"algorithm": algorithm, "scenario": found.name, "steps": steps, "seed": seed}
+    asked |= asdict(options)
     if (known := out / ROW).exists():
         row = build_json(dict[str, Any], read_text(known, 2**24), str(known))
-        mine = {"row": algorithm, "scenario": scenarios.get(scenario).name, "seed": seed}
-        check("out", mine.items() <= row.items(), f"a new folder: {out} holds another training")
+        other = f"a new folder: {out} holds another training, {row.get('asked')}"
+        check("out", row.get("asked") == asked, other)
         return row
     check("out", not out.exists(), f"a new folder, found {out}")
-    check("steps", steps >= 1, "a number from 1")
     torch.set_num_threads(1)
     logging.getLogger("torchrl").setLevel(logging.WARNING)  # its messages go to the standard output
-    found = scenarios.get(scenario)
-    options = {"scenario": scenario, "reward": REWARD, "shared": True}
-    task = RoutingClass.of({**options, "max_cycles": 1})
+    task = RoutingClass.of(
+        {"scenario": scenario, "reward": REWARD, "shared": True, "max_cycles": 1}
+    )
     config = ExperimentConfig.get_from_yaml()
     config.max_n_frames = steps  # at least: a frame is one agent-step or more
-    config.gamma, config.lr, config.polyak_tau = 0.99, 5e-4, 0.01
     problems = found.problems("validation").values()
     nets = sum(len(problem.nets) for problem in problems) / len(problems)
     config.off_policy_n_envs_per_worker = GAMES
     config.off_policy_collected_frames_per_batch = GAMES * max(round(3200 / GAMES / nets), 1)
-    config.off_policy_n_optimizer_steps = 40
     config.off_policy_train_batch_size = max(round(640 / nets), 1)
     config.off_policy_memory_size = round(125_000 / nets)
-    config.exploration_eps_init, config.exploration_eps_end = 1.0, 0.05
     config.evaluation, config.loggers, config.create_json = False, [], False
     config.render, config.save_folder = False, str(out.parent)
     config.exclude_buffer_from_checkpoint = True
     config.checkpoint_interval = config.off_policy_collected_frames_per_batch
-    for name, value in changes.items():
+    for name, value in asdict(options).items():
         setattr(config, name, value)
     network = MlpConfig(num_cells=[128, 128], layer_class=nn.Linear, activation_class=nn.ReLU)
     counter = _Steps(found.name, steps, max(steps // 20, 1))
     out.parent.mkdir(parents=True, exist_ok=True)
     state = out.with_name(f"{out.name}.state.pt")
-    asked = {"algorithm": algorithm, "scenario": found.name, "steps": steps, "seed": seed}
     with contextlib.redirect_stdout(sys.stderr):
         experiment = _Resumable(
             state,
             every,
-            {**asked, **changes},
+            asked,
             counter,
             task=task,
             algorithm_config=algorithm_config_registry[algorithm].get_from_yaml(),
@@ -256,6 +279,7 @@ def train(
     Path(experiment.folder_name).rename(out)
     policy = Moves(experiment)
     row = {
+        "asked": asked,
         "row": algorithm,
         "scenario": found.name,
         "seed": seed,
@@ -278,14 +302,13 @@ def train(
 @click.option("--steps", default=1_000_000, show_default=True, help="Agent-steps.")
 @click.option("--seed", default=0, show_default=True)
 @click.option("--out", type=Path, default=Path("runs/value_decomposition"), show_default=True)
-@click.option("--set", "changes", multiple=True, metavar="KEY=VALUE", help="Options of BenchMARL.")
+@click.option("--set", "changes", multiple=True, metavar="KEY=VALUE", help="Option of BenchMARL.")
 def main(
     algorithm: str, scenario: str, steps: int, seed: int, out: Path, changes: tuple[str, ...]
 ) -> None:
     """Trains VDN or QMIX for so many agent-steps and prints the row in JSON."""
-    pairs = (change.split("=", 1) for change in changes)
-    own = {name: json.loads(value) for name, value in pairs}
-    click.echo(json.dumps(train(algorithm, scenario, steps, seed, out, **own)))
+    row = train(algorithm, scenario, steps, seed, out, **override({}, changes))
+    click.echo(json.dumps(row))
 
 
 if __name__ == "__main__":
