@@ -232,7 +232,7 @@ def result_of(engine: Engine, scenario: str, split: Split = "test") -> PolicyRes
     ]
     gaps = [row.gap for row in rows if row.gap is not None]
     cost = total = None
-    if best := sum(found.cost(row.reference[1], 0) for row in rows if row.reference):
+    if known and (best := found.reference_cost(split)):
         cost = sum(row.cost for row in rows) / best
     if cost is not None and found.has_local_rule(split):
         total = found.score(cost, split)

@@ -9,9 +9,13 @@ from numpy.typing import NDArray
 
 from marouting import InputError, PaperObservation, evaluate, evaluate_policy, scenarios
 from marouting.batch.window import WindowObservation
+from marouting.evaluation import result_of
+from marouting.options import game_options
 from marouting.scenarios.score import Figures, score
 from marouting.search.astar import sequential_astar
 from marouting.vector import BatchEnv
+from policies.experiment import anarchy
+from policies.routers.local import LocalRouter
 
 
 def first(obs: NDArray[np.float32], masks: NDArray[np.int8]) -> NDArray[np.int64]:
@@ -62,6 +66,28 @@ def test_figures_are_those_of_the_routes(order: Any) -> None:
     assert result.compared == round(result.solved * 20)
     assert "toy-4x4-v0 validation: cost" in str(result)
     assert result.as_dict()["rows"][0]["problem"] == "validation_000"
+
+
+def test_overflow_costs_as_much_as_open_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of policies, rules and references alike: 1 is as good as the references."""
+    name = "tight-16x16-v0"
+    tight = scenarios.get(name)
+    best = [tight.reference(problem) for problem in tight.validation]
+    over = sum(reference.overflow for reference in best)
+    assert over > 0
+    least = sum(reference.wirelength for reference in best) + tight.open_cost * over
+    assert tight.reference_cost("validation") == least
+    rules = game_options({"scenario": name, "split": "validation", "overflow": "allowed"}).rules
+    monkeypatch.setattr(anarchy, "rules_of", lambda _: rules)
+    rule = LocalRouter(radius=None)
+    engine = rule.play(tight.validation, rules)
+    found = result_of(engine, name, "validation")
+    assert found.overflow > over
+    assert found.connected == 1
+    assert found.cost == (found.wirelength + tight.open_cost * found.overflow) / least
+    row = anarchy.measure(tight, "validation", rule)
+    assert row.cost == pytest.approx(found.cost, abs=1e-4)
+    assert row.solved / row.problems == found.solved < 1
 
 
 def test_options_are_those_of_the_environment() -> None:

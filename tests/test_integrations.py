@@ -287,6 +287,9 @@ def test_sb3_pays_agents_that_wait_only_if_they_stay(persists: bool) -> None:
     for _ in range(60):
         waits = env.batch.engine.agents["status"].ravel() != Status.ACTIVE
         _, rewards, dones, infos = env.step(rng.integers(6, size=env.num_envs))
+        for row in np.flatnonzero(dones):
+            if infos[row]:  # as it waited, it saw zeros
+                assert infos[row]["terminal_observation"].any() == (not waits[row])
         paid += np.abs(rewards[waits]).sum()
         ends += dones.sum()
         silent += sum(not info for done, info in zip(dones, infos, strict=True) if done)
@@ -321,6 +324,31 @@ def test_sb3_with_one_player_for_a_game() -> None:
                 seen[m] = one.reset()
             else:
                 seen[m] = there, told
+
+
+def test_sb3_adds_up_what_trainings_took(tmp_path: Path) -> None:
+    pytest.importorskip("stable_baselines3")
+    from stable_baselines3 import PPO
+
+    from policies.integrations.sb3 import Policy, RoutingVecEnv, save
+
+    def steps(model: PPO, name: str) -> int:
+        save(model, tmp_path / name)
+        taken: int = Policy(str(tmp_path / name)).training["agent_steps"]
+        return taken
+
+    envs = [RoutingVecEnv([PROBLEM], max_steps=6) for _ in range(2)]
+    model = PPO("MlpPolicy", envs[0], n_steps=8, batch_size=8, n_epochs=1, device="cpu").learn(64)
+    first = envs[0].taken.agent_steps
+    assert steps(model, "a.zip") == steps(model, "a.zip") == first > 0
+    later = PPO.load(tmp_path / "a.zip", env=envs[1], device="cpu").learn(96)
+    own = envs[1].taken.agent_steps
+    assert steps(later, "b.zip") == steps(later, "b.zip") == first + own > first
+    later.learn(64)
+    assert steps(later, "b.zip") == envs[1].taken.agent_steps > first + own
+    plain = PPO("MlpPolicy", gymnasium.make(ENVIRONMENT_ID, problem=PROBLEM), n_steps=8)
+    with pytest.raises(InputError, match="model: expected one with a RoutingVecEnv"):
+        save(plain, tmp_path / "c.zip")
 
 
 def test_sb3_draws_from_problems_given_as_objects() -> None:

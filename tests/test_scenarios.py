@@ -1008,6 +1008,7 @@ def draw(rng):
 LANES = scenarios.Scenario(
     "lanes-v0", draw, validation=2, test=3, references="lanes.json", env={"mask": {"visited": True}}
 )
+BARE = scenarios.Scenario("bare-v0", draw, validation=2, test=3)
 gates = scenarios.get("gates-8x7-v0")
 GATES = scenarios.Scenario(
     "own-gates-v0", gates.generator, validation=8, test=2, references="gates.json", env=gates.env
@@ -1024,7 +1025,7 @@ def lanes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     name = f"own_scenarios_{tmp_path.name.replace('-', '_')}"
     (tmp_path / f"{name}.py").write_text(OWN, encoding="utf-8")
     yield f"{name}:LANES"
-    for own in ("lanes-v0", "own-gates-v0"):
+    for own in ("lanes-v0", "bare-v0", "own-gates-v0"):
         scenarios._known.pop(own, None)
     scenarios._imported.clear()
 
@@ -1106,6 +1107,12 @@ def test_the_best_local_rule_of_a_scenario_in_a_module(
         assert status(benchmark) == 0
         ran = CliRunner().invoke(anarchy.main, [lanes])  # where all rules are optimal
         assert "lanes-v0: best local rule: expected one that costs more than" in ran.output
+        assert "in lanes.csv: where a rule is optimal, policies have nothing to learn" in ran.output
+        assert "lanes-v0" in Path("lanes.csv").read_text(encoding="utf-8")
+        for more in ([], ["--table"]):  # no file of references: nothing is looked up elsewhere
+            ran = CliRunner().invoke(anarchy.main, [lanes.replace(":LANES", ":BARE"), *more])
+            assert ran.exit_code == 2
+            assert "bare-v0: scenario: expected one with a file of references" in ran.output
 
 
 def test_policies_play_scenarios_of_modules(lanes: str) -> None:

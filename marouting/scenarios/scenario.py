@@ -204,9 +204,18 @@ class Scenario:
         """What routes cost: their wirelength, and :attr:`open_cost` for every open task.
 
         A track of overflow costs as much as an open task. The scenarios of policies have none.
-        The cost of a policy is the sum over the problems, divided by that of the references.
+        The cost of a policy is the sum over the problems, divided by :meth:`reference_cost`.
         """
         return wirelength + self.open_cost * (open_tasks + overflow)
+
+    def reference_cost(self, split: Split = "test") -> float:
+        """What the references of all problems of a split cost together.
+
+        Raises:
+            InputError: the scenario has no references.
+        """
+        found = map(self.reference, self.problems(split).values())
+        return sum(self.cost(best.wirelength, 0, best.overflow) for best in found)
 
     def score(self, cost: float, split: Split = "test") -> float:
         """The score of a policy: 0 for the best local rule, 1 for the optimum, the more the better.

@@ -413,16 +413,15 @@ class Benchmark(Experiment):
 def validation_scores(run: Path, scenario: str) -> list[tuple[int, float]]:
     """Agent-steps and the score on the validation problems, of each evaluation of a training."""
     found = scenarios.get(scenario)
-    best = {name: found.reference(of) for name, of in found.problems("validation").items()}
+    problems, least = found.problems("validation"), found.reference_cost("validation")
     costs: dict[int, list[float]] = {}
     for walk in read_evaluations(run / EVALUATIONS):
         cost = found.cost(walk.wirelength, walk.tasks - walk.joined, walk.overflow)
         costs.setdefault(walk.agent_steps, []).append(cost)
-    least = sum(reference.wirelength for reference in best.values())
     return [
         (steps, found.score(sum(own) / least, "validation"))
         for steps, own in costs.items()
-        if len(own) == len(best)
+        if len(own) == len(problems)
     ]
 
 

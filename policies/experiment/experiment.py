@@ -193,7 +193,8 @@ class Experiment:
         text = yaml_text(json.loads(json.dumps(plain)))
         if before is None or text != read_text(self.folder / CONFIG, MOST_TEXT):
             write_text(self.folder / CONFIG, text)
-        write_text(self.folder / DIGESTS, json.dumps(digests, indent=1) + "\n")
+        if digests:
+            write_text(self.folder / DIGESTS, json.dumps(digests, indent=1) + "\n")
 
     def _digests(self) -> dict[str, dict[str, str]]:
         """By router, digests of what its options name: files of policies, and code of the user's.
@@ -357,7 +358,7 @@ class Experiment:
         return ordered
 
 
-DIGESTS = "digests.json"
+DIGESTS = "rows/digests.json"
 """Of files and code that the rows of an experiment depend on."""
 
 _FREE = ("only", "label", "training_seconds")

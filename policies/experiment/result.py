@@ -348,7 +348,7 @@ def policy_figures(result: Result) -> dict[str, Any]:
         unknown = ("score", "costs", "cost", "solved", "connected", "gap")
         return {**dict.fromkeys(unknown), **told}
     references = result.references
-    best = sum(wirelength for _, _, wirelength in references.values())
+    best = sum(length + scale.open_cost * over for _, over, length in references.values())
     tasks = sum(task.tasks or 0 for task in result.tasks)
     costs, solved, connected, gaps = [], [], [], []
     for rows in by_seed.values():
@@ -357,9 +357,10 @@ def policy_figures(result: Result) -> dict[str, Any]:
         done = [row for row in rows if not (row.open_tasks or row.overflow)]
         solved.append(len(done) / len(rows))
         connected.append(1 - sum(row.open_tasks or 0 for row in rows) / tasks)
-        for row in done:
-            least = max(references[row.problem][2], 1)
-            gaps.append(100 * (row.wirelength / least - 1))
+        for row in rows:
+            _, overflow, least = references[row.problem]
+            if not row.open_tasks and row.overflow == overflow:
+                gaps.append(100 * (row.wirelength / max(least, 1) - 1))
     scores = [scale.score(cost) for cost in costs]
     # As of one problem: the cost is that of all problems together.
     low, high = bootstrap_interval(np.array([scores]))

@@ -32,6 +32,14 @@ class Training:
             del self.options[name]
         self.agent_steps = 0
         self._began = time.process_time()
+        self._before: Mapping[str, Any] | None = None
+
+    def continues(self, before: Mapping[str, Any]) -> None:
+        """Adds what an earlier training took, unless that has been told before."""
+        if self._before is None:
+            self._before = before
+            self.agent_steps += before.get("agent_steps", 0)
+            self._began -= before.get("processor_seconds", 0.0)
 
     def saved(self) -> dict[str, Any]:
         """What a policy's file holds beside the policy."""

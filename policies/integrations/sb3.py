@@ -19,7 +19,7 @@ import os
 import pkgutil
 import time
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,7 +105,11 @@ class RoutingVecEnv(VecEnv):
             success = joined & (info["overflow"] == 0)
         done = ended & ~self._done
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        last = info["final_obs"].reshape(obs.shape[0] * self._rows, *obs.shape[2:])
+        # Agents that waited for the end of their game see the zeros that they saw as they waited.
+        last = info["final_obs"] * info["acted"].reshape(
+            info["acted"].shape + (1,) * (obs.ndim - 2)
+        )
+        last = last.reshape(obs.shape[0] * self._rows, *obs.shape[2:])
         now = round(time.time() - self._began, 6)
         for i in np.flatnonzero(done).tolist():
             figures = {"r": float(self._return[i]), "l": int(self._length[i]), "t": now}
@@ -168,14 +172,21 @@ class RoutingVecEnv(VecEnv):
 def save(model: BaseAlgorithm, file: str | os.PathLike[str]) -> None:
     """Saves a model with the options of its :class:`RoutingVecEnv`, for :class:`Policy`.
 
-    If the environment is wrapped in SB3's ``VecNormalize``, its statistics are saved as well.
+    If the environment is wrapped in SB3's ``VecNormalize``, its statistics are saved as well. What
+    the training took includes what a loaded model had taken before.
+
+    Raises:
+        InputError: it has another environment, or none.
     """
     env = model.get_env()
-    assert env is not None  # it was trained in one
+    routing = env is not None and isinstance(env.unwrapped, RoutingVecEnv)
+    check("model", routing, "one with a RoutingVecEnv")
+    taken: Training = cast(VecEnv, env).get_attr("taken")[0]
     kind = type(model)
     normalise = model.get_vec_normalize_env()
+    taken.continues(vars(model).get("routing", {}).get("training", {}))
     vars(model)["routing"] = {
-        **env.get_attr("taken")[0].saved(),
+        **taken.saved(),
         "kind": f"{kind.__module__}:{kind.__qualname__}",
         "normalise": normalise,
     }

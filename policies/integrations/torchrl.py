@@ -202,7 +202,7 @@ class GroupMoves:
 
 
 def save(policy: TensorDictModuleBase, env: RoutingEnv, file: str | os.PathLike[str]) -> None:
-    """Saves a policy with the options of the environment that it was trained in."""
+    """Saves a policy with the options of an environment and what its training there took."""
     batch = env.batch
     shape = batch.single_observation_space.shape
     kept = {"policy": policy, "agents": batch.num_agents, "obs_shape": shape}
