@@ -81,6 +81,10 @@ class Many(First):
     parameters = "many"
 
 
+class Shaped(First):
+    obs_shape = 5
+
+
 class Loads(First):
     def __init__(self, file: str = "", folder: str = ""):
         self.reverse = False
@@ -266,6 +270,7 @@ REFUSED = {
     "own:First other=1": "other",
     "own:Few": r"policy: expected \(249,\) integers, one for each observation, found int64 \(248,",
     "own:Listed": r"options: expected a mapping, found \['turn_order'\]",
+    "own:Shaped": r"obs_shape: expected a shape, found 5",
     "own:Many": r"parameters: expected a whole number or null, found 'many'",
 }
 

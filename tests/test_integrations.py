@@ -346,6 +346,8 @@ def test_sb3_adds_up_what_trainings_took(tmp_path: Path) -> None:
     assert steps(later, "b.zip") == steps(later, "b.zip") == first + own > first
     later.learn(64)
     assert steps(later, "b.zip") == envs[1].taken.agent_steps > first + own
+    with pytest.raises(InputError, match=r"^autoreset: expected none: games that are over begin"):
+        RoutingVecEnv([PROBLEM], autoreset=True)
     plain = PPO("MlpPolicy", gymnasium.make(ENVIRONMENT_ID, problem=PROBLEM), n_steps=8)
     with pytest.raises(InputError, match="model: expected one with a RoutingVecEnv"):
         save(plain, tmp_path / "c.zip")
@@ -476,6 +478,8 @@ def test_torchrl_draws_from_problems_given_as_objects() -> None:
         env = RoutingEnv(2, problem=problem, max_steps=6)
         assert env.rollout(3)["nets", "observation"].shape == (2, 3, len(PROBLEM.nets), 12)
         assert "problem" not in env.taken.saved()["options"]
+    with pytest.raises(InputError, match=r"^autoreset: expected none: TorchRL resets"):
+        RoutingEnv(2, problem=PROBLEM, autoreset=True)
 
 
 def test_torchrl_files_that_hold_no_policy_are_refused(tmp_path: Path) -> None:
@@ -490,7 +494,7 @@ def test_torchrl_files_that_hold_no_policy_are_refused(tmp_path: Path) -> None:
     torch.save({"policy": 1}, tmp_path / "other")
     saved = "expected a policy that policies.integrations.torchrl.save has saved"
     for name in ("archive", "text", "empty", "other"):
-        with pytest.raises(InputError, match=rf"{name}: {saved}"):
+        with pytest.raises(InputError, match=rf"{name}: {saved}$"):
             Policy(str(tmp_path / name))
     with pytest.raises(InputError, match=r"missing: cannot be read: No such file"):
         Policy(str(tmp_path / "missing"))
@@ -545,6 +549,46 @@ def test_benchmarl_takes_the_task() -> None:
     steps = env.rollout(100, break_when_all_done=True)
     assert steps.shape[1] <= task.max_steps(env)
     assert set(task.log_info(steps)) == {"collection/info/joined", "collection/info/overflow"}
+
+
+def test_benchmarl_files_that_hold_no_policy_are_refused(tmp_path: Path) -> None:
+    pytest.importorskip("benchmarl")
+    from policies.integrations.benchmarl import Policy
+    from policies.integrations.value_decomposition import train
+
+    own, known = tmp_path / "run", tmp_path / "run/config.pkl"
+    file = Path(train("vdn", "gates-8x7-v0", 500, 0, own)["file"])
+    assert Policy(str(file)).training["agent_steps"] >= 500
+    what = rf"^{re.escape(str(file))}: expected a checkpoint of BenchMARL, as .*config\.pkl has it$"
+    for one in (file, known):
+        kept = one.read_bytes()
+        for junk in (b"junk", b"", kept[:100]):
+            one.write_bytes(junk)
+            with pytest.raises(InputError, match=what):
+                Policy(str(file))
+        one.unlink()
+        with pytest.raises(InputError, match=rf"^{re.escape(str(one))}: cannot be read: No such"):
+            Policy(str(file))
+        one.write_bytes(kept)
+
+
+def test_rllib_folders_that_hold_no_policy_are_refused(tmp_path: Path) -> None:
+    pytest.importorskip("ray.rllib")
+    from policies.integrations.rllib import Policy
+    from policies.integrations.saved import Training
+
+    right = Training({"scenario": "gates-8x7-v0"}).options
+    for options, said in (
+        ({"mask": {}, "bogus": 1}, "routing.json: bogus: unknown key"),
+        ({**right, "mask": {"visited": 3}}, "routing.json: mask.visited: expected true or false"),
+        (right, "module: expected the folder of a module that RLlib has saved"),
+    ):
+        (tmp_path / "routing.json").write_text(json.dumps(options))
+        with pytest.raises(InputError, match=re.escape(said)):
+            Policy(str(tmp_path))
+    (tmp_path / "module").mkdir()
+    with pytest.raises(InputError, match="module: expected the folder of a module that RLlib has"):
+        Policy(str(tmp_path))
 
 
 def test_torchrl_shares_the_mean_of_what_present_nets_are_paid() -> None:

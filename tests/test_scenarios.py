@@ -900,8 +900,8 @@ def test_draws_with_nothing_to_route_are_thrown_away() -> None:
 
 @pytest.mark.usefixtures("own")
 def test_what_own_scenarios_are_refused() -> None:
-    for name in ("toy-4x4-v0", "", 3, "a:b"):
-        with pytest.raises(InputError, match=r"^name: expected a(nother one: | text that)"):
+    for name in ("toy-4x4-v0", "", 3, "a:b", "a/b-v0", "a b-v0", ["a"]):
+        with pytest.raises(InputError, match=r"^name: expected (another one: |letters, digits, )"):
             scenarios.register(name, corridor)  # type: ignore[arg-type]
     again = scenarios.register("corridor-v0", corridor, test=2)
     assert scenarios.get("corridor-v0") is again
@@ -939,6 +939,9 @@ def test_what_own_scenarios_are_refused() -> None:
         ({"open_cost": "x"}, "open_cost: expected a number, found 'x'"),
         ({"mirrors": "x"}, "mirrors: expected true or false, found 'x'"),
         ({"env": {"split": "test"}}, "env: expected no key split: the scenario is what is play"),
+        ({"env": {"max_stepz": 3}}, "env.max_stepz: unknown key; did you mean max_steps?"),
+        ({"env": {"max_steps": -3}}, "env.max_steps: expected"),
+        ({"references": 3}, "references: expected a path, found 3"),
         ({"training": 3}, "training: expected a mapping, found 3"),
         ({"accept": 3}, "accept: expected a function, found 3"),
     ],

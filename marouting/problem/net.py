@@ -109,7 +109,9 @@ def check_numbers(name: str, values: Iterable[int], field: str = "", row: int = 
     for value in values:
         if not (is_whole(value) and 0 <= value <= MAX_NUMBER):
             raise FieldError(
-                f"{name}: expected a number from 0 to {MAX_NUMBER}, found {value!r}", field, row
+                f"{name}: expected a whole number from 0 to {MAX_NUMBER}, found {value!r}",
+                field,
+                row,
             )
 
 

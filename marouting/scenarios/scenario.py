@@ -17,6 +17,7 @@ import functools
 import hashlib
 import itertools
 import os
+import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
@@ -60,7 +61,7 @@ class Scenario:
     """Problems drawn by a generator.
 
     Args:
-        name: its name, with the version at the end.
+        name: its name, of letters, digits, _, . and -, with the version at the end.
         generator: what draws problems. They may differ in all but the shape of the grid.
         description: one sentence.
         validation: number of validation problems.
@@ -107,6 +108,8 @@ class Scenario:
             "validation": validation, "test": test, "open_cost": open_cost, "mirrors": mirrors,
             "env": env or {}, "training": training or {},
         }  # fmt: skip
+        named = isinstance(name, str) and re.fullmatch(r"\w[\w.-]*", name)
+        check("name", named, f"letters, digits, _, . and -, found {name!r}")
         for key, value in given.items():
             of_key(key, value, _ARGUMENTS[key])
         for key in _PLAYED:
@@ -115,6 +118,8 @@ class Scenario:
         for key, of in functions.items():
             fits = callable(of) or (of is None and key != "generator")
             check(key, fits, f"a function, found {of!r}")
+        path = references is None or isinstance(references, str | os.PathLike)
+        check("references", path, f"a path, found {references!r}")
         self.name, self.generator, self.description = name, generator, description
         self.env, self.training = dict(env or {}), dict(training or {})
         self.open_cost = open_cost

@@ -94,7 +94,9 @@ def play(
         observation = game.observation.make()
         problems = list(scenarios.get(scenario).problems(split).values())
         shape = space_of(observation, problems, game.overflow == "allowed").shape
-        known = tuple(getattr(policy, "obs_shape", shape))
+        known = getattr(policy, "obs_shape", shape)
+        check("obs_shape", isinstance(known, list | tuple), f"a shape, found {known!r}")
+        known = tuple(known)
         check("policy", known == shape, f"one for observations of shape {shape}, found {known}")
         radius = local_radius_of(observation)
         env = play_split(policy.moves, scenario, split, local=radius is not None, **own)

@@ -28,7 +28,7 @@ from torchrl.envs import EnvBase
 
 from marouting.config import build_json, check
 from marouting.files import naming, read_text
-from policies.integrations.saved import Training
+from policies.integrations.saved import Training, another
 from policies.integrations.torchrl import GROUP, GroupMoves, RoutingEnv
 
 ROW = "row.json"
@@ -174,10 +174,16 @@ class Policy(Moves):
         teacher: bool | None = None,
     ) -> None:
         known = Path(file).parent.parent / "config.pkl"
-        with naming(known, "cannot be read"), known.open("rb"), contextlib.redirect_stdout(None):
-            # Without ``save_folder`` the file's own folder counts, wherever it has been moved to.
-            changes = {"loggers": [], "evaluation": False, "save_folder": None}
-            experiment = Experiment.reload_from_file(file, changes)
+        for one in (file, known):
+            with naming(one, "cannot be read"):
+                Path(one).open("rb").close()
+        # Without ``save_folder`` the file's own folder counts, wherever it has been moved to.
+        changes = {"loggers": [], "evaluation": False, "save_folder": None}
+        try:
+            with contextlib.redirect_stdout(None):
+                experiment = Experiment.reload_from_file(file, changes)
+        except Exception as error:  # other files fail in the archive, in the unpickler or later
+            raise another(file, f"a checkpoint of BenchMARL, as {known} has it", error) from None
         experiment.close()
         fits = isinstance(experiment.task, RoutingClass)
         check(file, fits, f"a checkpoint of a task of {__name__}")

@@ -26,8 +26,10 @@ from ray.rllib.core.columns import Columns
 from ray.rllib.core.rl_module import RLModule
 
 from marouting.config import build_json, check
-from marouting.files import read_text, write_text
-from policies.integrations.saved import Training
+from marouting.errors import InputError
+from marouting.files import is_dir, read_text, write_text
+from marouting.options import game_options
+from policies.integrations.saved import Training, another
 
 _MODULE, _OPTIONS = "module", "routing.json"
 _MOST_BYTES = 2**20
@@ -76,8 +78,17 @@ class Policy:
     ) -> None:
         file = Path(folder) / _OPTIONS
         self.options = build_json(dict[str, Any], read_text(file, _MOST_BYTES), str(file))
-        check(str(file), isinstance(self.options.get("mask"), dict), "options of an environment")
-        module = RLModule.from_checkpoint(str((Path(folder) / _MODULE).resolve()))
+        try:
+            self._mask = game_options(self.options).mask
+        except InputError as error:
+            raise InputError(f"{file}: {error}") from None
+        place = Path(folder) / _MODULE
+        what = "the folder of a module that RLlib has saved"
+        check(str(place), is_dir(place), what)
+        try:
+            module = RLModule.from_checkpoint(str(place.resolve()))
+        except Exception as error:  # in RLlib's reader, the unpickler or later
+            raise another(place, what, error) from None
         self._module = cast(Any, module)  # of torch
         took = {"agent_steps": agent_steps, "processor_seconds": processor_seconds}
         self.training = {**took, "teacher": teacher}
@@ -86,9 +97,9 @@ class Policy:
     def moves(self, observations: NDArray[np.float32], masks: NDArray[np.int8]) -> Any:
         """(B,) moves for observations (B, *S) and masks (B, A)."""
         seen: Any = torch.from_numpy(observations)
-        if (mask := self.options["mask"])["in_observation"]:
+        if self._mask.in_observation:
             free = torch.from_numpy(masks).float()
-            seen = {mask["observation_key"]: seen, mask["mask_key"]: free}
+            seen = {self._mask.observation_key: seen, self._mask.mask_key: free}
         with torch.no_grad():
             told = self._module.forward_inference({Columns.OBS: seen})
         return told[Columns.ACTION_DIST_INPUTS].argmax(-1).numpy()

@@ -64,7 +64,14 @@ def load(file: str | os.PathLike[str], keys: set[str], what: str) -> dict[str, A
     except OSError as error:
         raise unusable(file, "cannot be read", error) from None
     except Exception as error:  # other files fail in the archive or in the unpickler
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise InputError(f"{file}: expected {what}: {reason[:120]}") from None
+        raise another(file, what, error) from None
     check(str(file), isinstance(kept, dict) and keys <= kept.keys(), what)
     return dict(kept)
+
+
+def another(file: str | os.PathLike[str], what: str, error: Exception) -> InputError:
+    """The InputError for a file that a library could not load."""
+    reason = ""
+    if isinstance(error, ImportError | AttributeError):  # code that is gone
+        reason = f": {(str(error).splitlines() or [type(error).__name__])[0][:120]}"
+    return InputError(f"{os.fspath(file)}: expected {what}{reason}")

@@ -24,6 +24,7 @@ from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from marouting.config import check
 from marouting.vector import BatchEnv, Info
 from policies.integrations.saved import Training, load
 
@@ -78,6 +79,7 @@ class RoutingEnv(EnvBase):
         device: Any = None,
         **options: Any,
     ) -> None:
+        check("autoreset", "autoreset" not in options, "none: TorchRL resets games that are over")
         self.batch = batch = BatchEnv(problems, autoreset=False, **options)
         m, n = batch.num_problems, batch.num_agents
         super().__init__(device=device, batch_size=[m])
