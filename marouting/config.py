@@ -792,8 +792,14 @@ def check_same(mine: Mapping[str, Any], kept: Mapping[str, Any], where: Path) ->
     for key in dict.fromkeys((*expected, *found)):
         if expected.get(key) != found.get(key):
             raise InputError(
-                f"{key}: expected {expected.get(key)!r}, as in {where}, found {found.get(key)!r}"
+                f"{key}: expected {_in_yaml(expected.get(key))}, as in {where}, "
+                f"found {_in_yaml(found.get(key))}"
             )
+
+
+def _in_yaml(value: Any) -> str:
+    """A value as messages about files show it."""
+    return json.dumps(value) if value is None or isinstance(value, bool) else repr(value)
 
 
 def _prefix(where: str) -> str:
