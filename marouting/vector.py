@@ -37,7 +37,7 @@ class SavedBatch(NamedTuple):
     """A saved state of a :class:`BatchEnv`."""
 
     identity: tuple[Any, ...]  # equal for games with the same problems and options
-    games: list[Saved]
+    games: list[Any]  # of the processor's games a Saved each, of a device's their arrays
 
 
 _ON_CUDA = "marouting.cuda.env:CudaBatchEnv"

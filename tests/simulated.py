@@ -113,6 +113,8 @@ def check() -> None:
     env.reset()
     env.step(env._device.of(np.full((1, env.num_agents), 9, np.int32)))
     drawing: Any = BatchEnv(1, problem=problems, device="cuda")
+    wider = marouting.generate(1, nets=3, grid=(4, 4, 2), capacity=3, reduced_edges=0)[0]
+    assert wider.nets == problems[0].nets
     floats = np.zeros((1, env.num_agents))
     for call in (
         env.reset,
@@ -120,6 +122,10 @@ def check() -> None:
         lambda: env.step(env._device.of(floats)),
         lambda: drawing.reset(seed=-1),
         lambda: BatchEnv(problems[1:], device="cuda").restore(env.save()),
+        lambda: BatchEnv([wider], device="cuda").restore(env.save()),
+        lambda: BatchEnv(problems[:1], device="cuda", max_steps=3).restore(env.save()),
+        lambda: env.restore([]),
+        lambda: BatchEnv(1, device="cuda", threads=True),
         lambda: BatchEnv(1, device="cuda"),
         lambda: BatchEnv(1, problem=problems, device="cuda", pool=0.5),
     ):

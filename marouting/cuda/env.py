@@ -44,11 +44,12 @@ from marouting.problem.net import is_whole
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
 from marouting.rewards import prices_of
-from marouting.source import ProblemStream, Source, generated_name
+from marouting.source import OTHER_GAME, ProblemStream, Source, generated_name
 from marouting.vector import (
     FIGURES,
     BatchEnv,
     Info,
+    SavedBatch,
     batch_options,
     drawn_from,
     fixed_batch,
@@ -111,7 +112,8 @@ class CudaBatchEnv(BatchEnv):
         **options: Any,
     ) -> None:
         check("device", device == "cuda", f"cpu or cuda, found {device!r}")
-        check("threads", threads == 1, "1: they are the processor's")
+        what = f"1: they are the processor's, found {threads!r}"
+        check("threads", is_whole(threads) and threads == 1, what)
         _check_seed(seed)
         self._device = Device()
         checked = batch_options(options, everyone, autoreset, play_once)
@@ -144,13 +146,16 @@ class CudaBatchEnv(BatchEnv):
         lots = checked.rip_up is not None and checked.rip_up.neighbours > 0
         static, self._nets = held if lots else _in_turn(*held)
         static = _without_vias(static)
-        self._played = _digest(static.tasks, self._nets)
+        brought = (getattr(static, name) for name in _CHANGING)
+        played = _digest(static.tasks, self._nets, *brought)
         self.num_envs, self.num_agents = self.num_problems, self._nets.shape[1]
         overflow = static.overflow_allowed
         self._observation = observation
         self.single_observation_space = space_of(observation, bounds, overflow)
         self.single_state_space = state_space_of(observation, bounds, overflow)
         self.single_action_space = Discrete(checked.actions)
+        shape = self.num_problems, *self.single_observation_space.shape
+        self._identity = (type(self).__name__, everyone, checked.rules, shape, played)
         for name, what in unsupported(observation, reward):
             check(name, False, what)
         with self._device.allocating():
@@ -377,22 +382,19 @@ class CudaBatchEnv(BatchEnv):
         tasks = first.copy_to_host()
         return self.names[number], Metrics(**figures, tasks=int(tasks[-1] - tasks[0])), total
 
-    def save(self) -> Any:
+    def save(self) -> SavedBatch:
         """A copy of the state of all games, on the processor, for :meth:`restore`.
 
         ``final_obs`` and ``final_mask`` of the last step are not in it.
         """
-        return [self._played.copy(), *(array.copy_to_host() for array in self._arrays())]
+        return SavedBatch(self._identity, [array.copy_to_host() for array in self._arrays()])
 
-    def restore(self, saved: Any) -> None:
+    def restore(self, saved: SavedBatch) -> None:
         """Puts all games back into a saved state; raises ValueError if it is of other games."""
-        played, *rest = saved
-        arrays = self._arrays()
-        shapes = [[(a.shape, a.dtype) for a in some] for some in (arrays, rest)]
         # A state has places in tables of problems, which kernels do not check.
-        if shapes[0] != shapes[1] or not np.array_equal(played, self._played):
-            raise ValueError("saved: expected the state of such games, found that of others")
-        for array, kept in zip(arrays, rest, strict=True):
+        if not isinstance(saved, SavedBatch) or saved.identity != self._identity:
+            raise ValueError(OTHER_GAME)
+        for array, kept in zip(self._arrays(), saved.games, strict=True):
             if array.size:
                 array.copy_to_device(kept)
         arguments = self._static, self._dynamic, self._buffers, self._look
@@ -503,12 +505,12 @@ def _check_seed(seed: Any) -> None:
     check("seed", whole, f"a whole number from 0 to 2**64 - 1, found {seed!r}")
 
 
-def _digest(*arrays: NDArray[Any]) -> NDArray[np.uint8]:
-    """(32,) of what is in some arrays."""
+def _digest(*arrays: NDArray[Any]) -> bytes:
+    """A digest of what is in some arrays."""
     digest = hashlib.sha256()
     for array in arrays:
         digest.update(np.ascontiguousarray(array).data)
-    return np.frombuffer(digest.digest(), np.uint8)
+    return digest.digest()
 
 
 def _keys(seeds: NDArray[np.uint64]) -> NDArray[np.uint64]:

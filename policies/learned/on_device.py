@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from marouting.batch.window import WindowObservation
@@ -391,7 +392,7 @@ class DevicePPO:
             "waits": self.waits.to("cpu", copy=True),
             "waiting": [part[..., self.waits].cpu() for part in self.waiting[:-1]],
             "updates": self.updates,
-            "games": [as_rows(array) for array in env.save()],
+            "games": [as_rows(array) for array in _games(env)],
         }
 
     def load_state(self, state: Mapping[str, Any], where: str) -> None:
@@ -421,13 +422,12 @@ class DevicePPO:
             raise InputError(f"{where}: random: expected a generator's state") from None
         self.updates = int(state["updates"])
         env: Any = self.env
-        name, games, now = f"{where}: games", state["games"], env.save()
+        name, games, now = f"{where}: games", state["games"], _games(env)
         check(name, len(games) == len(now), f"{len(now)} arrays, found {len(games)}")
-        arrays = [from_rows(kept, array, name) for kept, array in zip(games, now, strict=True)]
-        try:
-            env.restore(arrays)
-        except ValueError:
-            raise InputError(f"{name}: expected those of such a training") from None
+        played, *arrays = (from_rows(of, array, name) for of, array in zip(games, now, strict=True))
+        # A state has places in tables of problems, which kernels do not check.
+        check(name, np.array_equal(played, now[0]), "those of such a training")
+        env.restore(env.save()._replace(games=arrays))
 
     @property
     def _adam_steps(self) -> torch.device:
@@ -449,3 +449,9 @@ class DevicePPO:
 def on_cuda(env: BatchEnv) -> bool:
     """Whether an environment is on a CUDA device, which may be simulated."""
     return hasattr(env, "actions") and not env._device.simulated  # type: ignore[attr-defined]
+
+
+def _games(env: Any) -> list[NDArray[Any]]:
+    """The state of games on a device, after a digest of what they play."""
+    saved = env.save()
+    return [np.frombuffer(saved.identity[-1], np.uint8), *saved.games]
