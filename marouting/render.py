@@ -236,6 +236,7 @@ _FONT = (
 )
 _ADVANCE, _HEIGHT, _LINE = 8, 16, 18  # px of a letter of scale 1, and of a line of text
 _CAPTION = 80  # letters of a caption that there is room for
+_WIDEST_SIGN = 160  # px of the widest entry of a legend with letters of scale 1
 
 
 def colour_of(net: int) -> Ink:
@@ -251,16 +252,17 @@ def rgb_array(scene: Scene) -> NDArray[np.uint8]:
 
     The caption stands above, a legend below. Gcells are grey squares, and edges are the gaps
     between them. Where there is room for it, every net that uses an edge is a line on it, in the
-    colour that the net has in all pictures; edges that are used up have dark borders, overflowed
-    ones orange borders. Otherwise every edge is a field between its two Gcells, whose colour says
-    how full it is: pale to dark blue (full), and orange to red where it overflows. Edges without
-    capacity are left out. A black dot in a Gcell means that a via up or down from it is in use.
+    colour that the net has in all pictures (a thinner one where an edge has more nets than any edge
+    has tracks); edges that are used up have dark borders, overflowed ones orange borders. Otherwise
+    every edge is a field between its two Gcells, whose colour says how full it is: pale to dark
+    blue (full), and orange to red where it overflows. Edges without capacity are left out. A black
+    dot in a Gcell means that a via up or down from it is in use.
     Discs are the heads of the nets, and outlined squares their targets; those of the net to move
     have yellow frames.
 
     Returns:
         (H, W, 3) uint8. H and W are even and the same for every scene of a problem; the longer one
-        is between about 200 and 1200. (Where a Gcell has less than 2 px, the picture is drawn
+        is between about 200 and 1300. (Where a Gcell has less than 2 px, the picture is drawn
         larger and shrunk.)
     """
     sheet = Sheet.of(scene)
@@ -345,8 +347,9 @@ class Sheet:
         self.mark = max(self.square // 2, _MARK * self.shrink)
         self.margin = margin = max(pitch // 4 * 2, 8 * self.shrink)
         # Video encoders need even sides.
-        across = _up_to(columns * (width * pitch + margin) + margin, 2 * self.shrink)
         self.scale = self.shrink
+        panels = columns * (width * pitch + margin) + margin
+        across = _up_to(max(panels, _WIDEST_SIGN * self.scale + 2 * margin), 2 * self.shrink)
         self.letters = max(1, (across - 2 * margin) // (_ADVANCE * self.scale))
         self.lines = math.ceil(_CAPTION / self.letters)
 
@@ -423,11 +426,16 @@ class Sheet:
         self._bars(canvas, over, self.start - 2 * border, most + 2 * border, _OVERFLOWED)
         self._bars(canvas, full, self.start, room, _FREE)
         self._bars(canvas, over, self.start, most, _FREE)
-        slot = np.arange(len(scene.edges)) - np.searchsorted(scene.edges, scene.edges)
-        drawn = (slot < self.tracks) & (scene.edges % AXES != VIA_AXIS)
-        low = self.start + slot[drawn] * self.track
-        inks = PALETTE[scene.nets[drawn] % len(PALETTE)]
-        self._bars(canvas, scene.edges[drawn], low, low + self.track, inks, whole=True)
+        inside = scene.edges % AXES != VIA_AXIS
+        edges = scene.edges[inside]
+        first = np.searchsorted(edges, edges)
+        slot, uses = np.arange(len(edges)) - first, np.searchsorted(edges, edges, "right") - first
+        # Where there are more nets than tracks, lines are as much thinner.
+        wide, share = most - self.start, np.maximum(uses, self.tracks)
+        low = self.start + slot * wide // share
+        high = np.maximum(self.start + (slot + 1) * wide // share, low + 1)
+        inks = PALETTE[scene.nets[inside] % len(PALETTE)]
+        self._bars(canvas, edges, low, high, inks, whole=True)
 
     def _uses(self, canvas: Pixels, scene: Scene, state: NDArray[np.int8]) -> None:
         """Every edge in use as a field that shows how full it is, the fullest on top."""

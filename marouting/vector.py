@@ -21,7 +21,7 @@ from marouting.config import build, check
 from marouting.errors import InputError
 from marouting.observations import Observation, space_of, state_of, state_space_of
 from marouting.options import GameOptions, game_options
-from marouting.player import Player, Saved, StepBuffers
+from marouting.player import Player, StepBuffers
 from marouting.problem.net import is_whole
 from marouting.problem.problem import Problem
 from marouting.rules import Mask
@@ -179,7 +179,15 @@ class BatchEnv(EzPickle):
         ]
         played = episodes.identity if episodes else (*engine.problems,)
         shape = self._buffers.obs.shape
-        self._identity = (kind, everyone, self._persists, checked.rules, shape, cuts, played)
+        self._identity: tuple[Any, ...] = (
+            kind,
+            everyone,
+            self._persists,
+            checked.rules,
+            shape,
+            cuts,
+            played,
+        )
         self._begun = False
         self._start_threads()
 

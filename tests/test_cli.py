@@ -27,7 +27,7 @@ from hypothesis import strategies as st
 from test_bad_files import GR
 
 import marouting
-from marouting import EnvOptions, InputError, Problem, Solution, evaluate, generate
+from marouting import EnvOptions, Field, InputError, Problem, Solution, evaluate, generate
 from marouting.config import override, plain, read_yaml
 from policies.cli.main import cli, status
 from policies.cli.tables import show, show_experiment
@@ -517,6 +517,49 @@ def test_plot_of_a_problem(router: str, capsys: pytest.CaptureFixture[str]) -> N
     assert {path.parent for path in drawn} == {Path("figures/p")}
     assert len(drawn) == 5
     assert all(path.name.startswith(f"{router}_") for path in drawn)
+
+
+@pytest.mark.usefixtures("here")
+def test_plot_draws_all_that_it_is_given(trained: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Also runs, problems and solutions of the same name."""
+    for folder in ("s1", "s2"):
+        Path(folder).mkdir()
+        printed(capsys, "route", "p.gr", "--router", "random", "--out", f"{folder}/p.x.solution")
+    files = ["p.gr", "s1/p.x.solution", "s2/p.x.solution"]
+    drawn = pictures(printed(capsys, "plot", *files, "--out", "both"))
+    assert len(drawn) == len(set(drawn)) == 11
+    assert Path("both/p/comparison.png") in drawn
+    Path("other").mkdir()
+    shutil.copy("p.gr", "other/p.gr")
+    solution = "s1/p.x.solution"
+    drawn = pictures(
+        printed(capsys, "plot", "p.gr", solution, "other/p.gr", solution, "--out", "o")
+    )
+    assert len(set(drawn)) == 10
+    assert {str(path.parent) for path in drawn} == {"o/p", "o/p_2"}
+    for run in ("run1", "run2", "more/run1"):
+        Path(run).mkdir(parents=True)
+        shutil.copy(trained / "metrics.jsonl", run)
+        shutil.copy(trained / "config.yaml", run)
+    drawn = pictures(printed(capsys, "plot", "run1", "run2", "more/run1", "--out", "runs"))
+    assert len(set(drawn)) == 6
+    assert {path.parts[1] for path in drawn} == {"run1", "run2", "run1_2"}
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--frames", "1"], "marouting: --frames: expected a number from 2, found 1\n"),
+        ([], "marouting: one.gr: expected a net with pins in two Gcells or more, for an animat"),
+    ],
+)
+def test_view_names_what_it_cannot_animate(
+    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Field(2, 2).net((0, 0), (0, 0)).problem().write("one.gr")
+    assert status(["view", "one.gr", "--out", "one.gif", *words]) == 2
+    assert capsys.readouterr().err.startswith(said)
 
 
 @pytest.mark.slow

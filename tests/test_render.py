@@ -137,6 +137,16 @@ def test_rgb_sizes(shape):
     assert 190 <= max(empty.shape) <= 1210
 
 
+@pytest.mark.parametrize("shape", [(1, 5, 1), (1, 155, 1), (1, 400, 1), (2, 274, 1), (3, 365, 1)])
+def test_rgb_narrow_grids_have_room_for_the_legend(shape):
+    """Its words, and the last of them: nothing is drawn at the right border."""
+    picture = rgb_array(scene(shape, heads=(0,), targets=(1,)))
+    assert picture.shape[1] >= 160
+    assert max(picture.shape) <= 1350
+    assert (picture[:, -4:] == 255).all()
+    assert has(picture, PALETTE[0])
+
+
 def test_rgb_two_layers_lie_side_by_side_and_four_in_a_square():
     height, width, _ = rgb_array(scene((8, 8, 2))).shape
     assert width > 1.5 * height
@@ -171,6 +181,16 @@ def test_rgb_draws_every_net_of_an_edge_in_its_colour():
             lines = lines[1:]
         assert lines == expected
     assert len({tuple(colour) for colour in PALETTE.tolist()}) == len(PALETTE)
+
+
+@pytest.mark.parametrize("capacity", [1, 2, 5])
+def test_rgb_draws_every_net_of_an_overflowed_edge(capacity):
+    """Also those beyond the most tracks that an edge has."""
+    nets = list(range(7))
+    picture = rgb_array(scene(demand={edge(0, 0, 0, 0): nets}, capacity=capacity))
+    above = picture[: picture.shape[0] * 3 // 4]  # without the legend
+    assert [has(above, PALETTE[net]) for net in nets] == [True] * 7
+    assert has(above, ORANGE)
 
 
 def test_rgb_full_edges_have_dark_borders_and_overflowed_ones_wide_orange_borders():

@@ -1,5 +1,6 @@
 """``marouting view``: a page, an animation or a picture of solutions."""
 
+import os
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
@@ -7,11 +8,12 @@ from typing import TYPE_CHECKING, get_args
 import click
 
 from marouting import InputError, Problem, ProblemFile, Solution, evaluate, sequential_astar
+from marouting.config import check
 from marouting.files import check_apart, check_writable, is_dir, stem_of, suffix_of, write_text
 from marouting.rules import TurnOrder
 from policies.cli.options import FILE, allow_code_option, json_option, tell
 from policies.cli.source import problem_argument
-from policies.results.run_folder import solution_name
+from policies.results.run_folder import solutions_by_name
 from policies.routers.registry import labelled, router_label
 
 if TYPE_CHECKING:
@@ -79,6 +81,7 @@ def view(
         if value is not None and kind not in MOVING:
             raise InputError(f"{option}: expected an animation, --out FILE.svg or FILE.gif")
     frames = FRAMES if frames is None else frames
+    check("--frames", frames >= 2, f"a number from 2, found {frames}")
     if checkpoint is not None and turn_order is not None:
         raise InputError("--turn-order: expected none with --checkpoint: the policy has its own")
     check_apart(out, *problem.files, *solutions, *([checkpoint] if checkpoint else []))
@@ -99,6 +102,8 @@ def view(
         if len(found) > 1:
             raise InputError(f"{out}: expected one SOLUTION to animate, found {len(found)}")
         ((name, routes),) = found.items()
+        what = "a net with pins in two Gcells or more, for an animation"
+        check(os.fspath(problem.path), loaded.to_route.any(), what)
         if open_nets := len(evaluate(loaded, routes).disconnected):
             click.echo(f"{open_nets} open nets: A* completes them in the animation", err=True)
         scenes = record(replay(loaded, routes, turn_order or "sequential"), frames)
@@ -113,13 +118,9 @@ def _solutions(
     """The solutions by name: those in files, or sequential A*'s."""
     if not paths:
         return {"astar": sequential_astar(loaded)}
-    found: dict[str, Solution] = {}
-    for file in (file for path in paths for file in _files(path, Path(problem.path))):
-        name = base = solution_name(file, problem.stem)
-        while name in found:
-            name = f"{base} ({len(found) + 1})"
-        found[name] = Solution.read(file, loaded)
-    return found
+    files = (file for path in paths for file in _files(path, Path(problem.path)))
+    called = solutions_by_name(files, problem.stem)
+    return {name: Solution.read(file, loaded) for name, file in called.items()}
 
 
 def _files(path: Path, problem: Path) -> list[Path]:

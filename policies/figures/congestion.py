@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from marouting.problem.problem import Problem
@@ -85,7 +86,10 @@ def show_use(
 
 
 def draw_congestion(axes: Axes, problem: Problem, solution: Solution, across: float) -> None:
-    """Draws the fullest edge of all layers by Gcell; ``across`` is about the width in inches."""
+    """Draws by Gcell the fullest of its edges towards +x and +y in all layers.
+
+    ``across`` is about the width in inches.
+    """
     values, side = congestion(problem, solution)
     scale = scale_of_use(values)
     show_use(axes, np.fmax.reduce(values, axis=(0, 1)), side, scale)
@@ -95,10 +99,11 @@ def draw_congestion(axes: Axes, problem: Problem, solution: Solution, across: fl
 
 
 def congestion_map(problem: Problem, solution: Solution, title: str) -> Figure:
-    """The use of every Gcell's fullest edge: all layers together, and layer by layer.
+    """How full edges are: all layers together, and layer by layer.
 
-    Layers without any route are named and not drawn. For a chip's design the tracks that shapes
-    leave free in these layers follow, if they block any: stripes of power grids are seen there.
+    The field of a Gcell has the colour of the fullest of its edges towards +x and +y. Layers
+    without any route are named and not drawn. For a chip's design the tracks that shapes leave free
+    in these layers follow, if they block any: stripes of power grids are seen there.
 
     Returns:
         Panels of one size, with one scale for use and one for tracks.
@@ -137,6 +142,8 @@ def congestion_map(problem: Problem, solution: Solution, title: str) -> Figure:
         show_use(axes, own, side, scale)
         axes.set(xlim=(-0.5, columns - 0.5), ylim=(-0.5, rows - 0.5), title=literal(name))
         axes.set(xlabel="x [Gcell]", ylabel="y [Gcell]")
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     for axes in drawn[:rows_of_use].flat[len(panels) :]:
         axes.set_axis_off()
     shown = drawn[:rows_of_use]

@@ -182,8 +182,9 @@ def plot(paths: Sequence[str | os.PathLike[str]], out: Path | None = None) -> li
         paths: folders of runs and experiments; ``metrics.jsonl`` files; problems in any format,
             each drawn with the solution files that follow it, or with sequential A*'s solution if
             none follows.
-        out: the folder for the figures; None stands for ``figures`` in a folder that is drawn, or
-            beside a file that is drawn.
+        out: the folder for the figures, in which those of problems, and of each of several folders
+            or ``metrics.jsonl``, are in a folder of its name; None stands for ``figures`` in a
+            folder that is drawn, or beside a file that is drawn.
 
     Returns:
         The pictures written.
@@ -193,12 +194,27 @@ def plot(paths: Sequence[str | os.PathLike[str]], out: Path | None = None) -> li
     """
     written: list[Path] = []
     groups: list[tuple[Path, list[Path]]] = []
+    own: set[Path] = set()
+
+    def alone(folder: Path) -> Path:
+        """A folder that no other of the paths has."""
+        found, number = folder, 1
+        while found in own:
+            number += 1
+            found = folder.with_name(f"{folder.name}_{number}")
+        own.add(found)
+        return found
+
+    runs = [path for path in map(Path, paths) if is_dir(path) or suffix_of(path) == ".jsonl"]
     for path in map(Path, paths):
+        into = out
+        if out is not None and path in runs and len(runs) > 1:
+            into = alone(out / (path if is_dir(path) else path.parent).resolve().name)
         if is_dir(path):
             if (path / RESULTS).exists():
-                written += experiment_figures(path, out)
+                written += experiment_figures(path, into)
             elif (path / run_folder.CONFIG).exists():
-                written += run_figures(path, out)
+                written += run_figures(path, into)
             else:
                 raise InputError(
                     f"{path}: expected a run folder, with {run_folder.CONFIG} in it, or an "
@@ -207,7 +223,7 @@ def plot(paths: Sequence[str | os.PathLike[str]], out: Path | None = None) -> li
         elif not exists(path):
             raise InputError(f"{path}: expected a folder or a file, found nothing")
         elif suffix_of(path) == ".jsonl":
-            written += reward_figures(path, out or path.parent / "figures")
+            written += reward_figures(path, into or path.parent / "figures")
         elif _is_problem(path):
             groups.append((path, []))
         elif groups:
@@ -217,11 +233,11 @@ def plot(paths: Sequence[str | os.PathLike[str]], out: Path | None = None) -> li
     for path, files in groups:
         problem = Problem.read(path)
         solutions = {
-            run_folder.solution_name(file, stem_of(path)): Solution.read(file, problem)
-            for file in files
+            name: Solution.read(file, problem)
+            for name, file in run_folder.solutions_by_name(files, stem_of(path)).items()
         }
         solutions = solutions or {"astar": AStarRouter().route(problem)}
-        folder = _of(out or path.parent / "figures", path)
+        folder = alone(_of(out or path.parent / "figures", path))
         written += problem_figures(problem, solutions, folder)
     return written
 

@@ -13,7 +13,7 @@ from matplotlib.colors import LinearSegmentedColormap, Normalize, to_hex
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
@@ -243,7 +243,7 @@ def edges_before_after(problem: Problem, solution: Solution, title: str = "") ->
     axes.set_xlim(-0.5, max(edges, 1) - 0.5)
     axes.set_xlabel("edges, each curve sorted by remaining capacity [rank]")
     axes.set_ylabel("remaining capacity [tracks]")
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True) if edges else NullLocator())
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     kind = f"{_edges(full)} fully used" if full else "no edge fully used"
     if stray := stray_edges(problem, solution):
@@ -475,7 +475,8 @@ def solution_3d(problem: Problem, solution: Solution, title: str = "") -> Figure
         draw(level, _layer_colour(layer, layers), width, 3 + layer)
     x, y, z = drawing.pins.T
     axes.plot(x, y, z + 1, "s", color=INK, markersize=1.5 * width + 1, zorder=3 + layers)
-    axes.set(zlim=(1, max(layers, 2)), zlabel="layer", zticks=range(1, layers + 1))
+    axes.set(zlim=(1, max(layers, 2)), zlabel="layer")
+    axes.zaxis.set_major_locator(MaxNLocator(nbins=10, integer=True))
     _number_gcells(axes, problem)
     longest = max(columns, rows)
     axes.set_box_aspect((max(columns / longest, 0.2), max(rows / longest, 0.2), 0.4))
@@ -551,10 +552,14 @@ def _number_gcells(axes: Any, problem: Problem) -> None:
 
 
 def _layer_colour(layer: int, layers: int) -> str:
-    """Blue for layer 1 and red for layer 2 as in the paper; many layers from a colour map."""
+    """Blue for layer 1 and red for layer 2 as in the paper.
+
+    Many layers go from blue to green and, every other one, from red to orange.
+    """
     if layers < len(LINES):
         return LINES[layer]
-    return to_hex(matplotlib.colormaps["plasma"](0.75 * layer / (layers - 1)))
+    colours = matplotlib.colormaps["autumn" if layer % 2 else "winter"]
+    return to_hex(colours(0.75 * layer / (layers - 1)))
 
 
 def _legend(

@@ -422,11 +422,11 @@ class DevicePPO:
             raise InputError(f"{where}: random: expected a generator's state") from None
         self.updates = int(state["updates"])
         env: Any = self.env
-        name, games, now = f"{where}: games", state["games"], _games(env)
-        check(name, len(games) == len(now), f"{len(now)} arrays, found {len(games)}")
-        played, *arrays = (from_rows(of, array, name) for of, array in zip(games, now, strict=True))
+        name, games, own = f"{where}: games", state["games"], _games(env)
+        check(name, len(games) == len(own), f"{len(own)} arrays, found {len(games)}")
+        played, *arrays = [from_rows(*each, name) for each in zip(games, own, strict=True)]
         # A state has places in tables of problems, which kernels do not check.
-        check(name, np.array_equal(played, now[0]), "those of such a training")
+        check(name, np.array_equal(played, own[0]), "those of such a training")
         env.restore(env.save()._replace(games=arrays))
 
     @property

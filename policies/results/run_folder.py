@@ -17,6 +17,7 @@ figures/               pictures
 """
 
 from collections import defaultdict
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, TypeVar
@@ -53,6 +54,17 @@ def solution_name(file: Path, problem: str) -> str:
     """Whose solution of a problem a file holds: its name without the problem's and the suffix."""
     stem = stem_of(file) if suffix_of(file) == ".solution" else plain_name(file)
     return stem.removeprefix(problem).strip(".") or stem_of(file)
+
+
+def solutions_by_name(files: Iterable[Path], problem: str) -> dict[str, Path]:
+    """Files of solutions of a problem, by :func:`solution_name`; equal names get a number."""
+    found: dict[str, Path] = {}
+    for file in files:
+        name = base = solution_name(file, problem)
+        while name in found:
+            name = f"{base} ({len(found) + 1})"
+        found[name] = file
+    return found
 
 
 def read_result(folder: Path) -> list[Row]:
