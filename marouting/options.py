@@ -1,11 +1,12 @@
 """The options of an environment: the ``env:`` part of a configuration."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
 from marouting.config import Named, build, check, merged, piece_field, take_pieces, unknown_key
-from marouting.errors import UnknownOption
+from marouting.errors import InputError, UnknownOption
 from marouting.generator import GeneratorOptions
 from marouting.problem.controls import ProblemFile
 from marouting.rules import Rules, TurnOrder
@@ -168,7 +169,13 @@ def game_options(options: Mapping[str, Any], agents: Agents | None = None) -> Ga
         for name in ("observation", "reward")
         if not isinstance(plain.get(name), Mapping | str | None)
     }
-    checked = replace(build(GameOptions, plain), **pieces)
+    try:
+        checked = build(GameOptions, plain)
+    except InputError as error:
+        if re.split(r"[.:]", str(error))[0] in plain.keys() - options.keys():
+            raise InputError(f"{options['scenario']}: env.{error}") from None
+        raise
+    checked = replace(checked, **pieces)
     if agents is None or checked.turn_order is not None:
         return checked
     return replace(checked, turn_order=ORDERS[agents])

@@ -72,9 +72,9 @@ _STAYED = Crossing.NONE.value
 class StepBuffers(NamedTuple):
     """The input and output of a step of M problems, with K rows each.
 
-    A row is one of the N agents, or the only one is that whose turn it is (K = 1). ``final_obs``
-    and ``final_mask`` are only written where ``obs`` no longer shows the result of the move: where
-    the task ended, or where the row now belongs to another agent.
+    There is a row for every agent (K = N), or one for the agent whose turn it is (K = 1).
+    ``final_obs`` and ``final_mask`` are only written where ``obs`` no longer shows the result of
+    the move: where the task ended, or where the row now belongs to another agent.
     """
 
     agents: NDArray[np.int32]  # (M, K) the agent of each row, or NOBODY

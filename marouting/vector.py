@@ -1,7 +1,7 @@
 """Many problems at once, in arrays, for learners.
 
-In a step all nets of every problem move, or only the one whose turn it is. For the second form with
-the interface of Gymnasium's vectors, use ``gymnasium.make_vec`` (:mod:`marouting.gym_vector`).
+In a step all nets of every problem move, or only the one whose turn it is. ``gymnasium.make_vec``
+(:mod:`marouting.gym_vector`) has the second of these in the interface of Gymnasium's vectors.
 """
 
 import os

@@ -125,7 +125,7 @@ COMMANDS: dict[str, tuple[tuple[str, ...], str]] = {
     "train --resume checkpoint": (
         ("train", "--resume", "other", "train.episodes=2"), "other/checkpoint.pt: env.reward.kind",
     ),
-    "config": (("config", "--show", "train.yaml"), "train.yaml:4: env.reward.kind: found code"),
+    "config": (("config", "train.yaml"), "train.yaml:4: env.reward.kind: found code"),
     "route --config": ((*ROUTE, "--config", "train.yaml"), "train.yaml:4: env.reward.kind: found"),
     **{
         f"route {name}": ((*ROUTE, "--checkpoint", f"{name}.pt"), f"{name}.pt: {key}: found code")

@@ -294,7 +294,7 @@ def test_the_command(tmp_path, monkeypatch, capfd):
     for arguments, expected in (
         (["--out", "x.bmp"], "x.bmp: expected a picture's suffix"),
         (["--out", "x.svg", "p.astar.solution", "--checkpoint", "p.pt"], "only one of SOLUTION"),
-        (["--out", "x.svg", "--frames", "1"], "frames: expected at least 2"),
+        (["--out", "x.svg", "--frames", "1"], "--frames: expected a number from 2"),
         (["--out", "x.svg", "missing"], "missing: cannot be read"),
         (["--out", "x.svg", "--checkpoint", "p.gr"], "p.gr: "),
         (["--out", "x.svg", "--checkpoint", "p.gr", "--turn-order", "sequential"], "--turn-order"),

@@ -415,7 +415,7 @@ def test_a_configuration_is_shown_whole(capsys: pytest.CaptureFixture[str]) -> N
         "learner: {kind: dqn, network: {hidden: [8]}}\n"
     )
     given = ("learner.gamma=0.5", "env.observation={kind: window, radius: 1}")
-    text = printed(capsys, "config", "--show", "own.yaml", *given)
+    text = printed(capsys, "config", "own.yaml", *given)
     Path("shown.yaml").write_text(text)
     assert load_config("shown.yaml") == load_config("own.yaml", given)
     words = [line.split() for line in text.splitlines()]
@@ -425,7 +425,7 @@ def test_a_configuration_is_shown_whole(capsys: pytest.CaptureFixture[str]) -> N
         "count:": "own.yaml:6", "hidden:": "own.yaml:7",
     }  # fmt: skip
     assert sum(line[-2:] == ["command", "line"] for line in words) == 3
-    whole = only_object(printed(capsys, "config", "--show", "own.yaml", *given, "--json"))
+    whole = only_object(printed(capsys, "config", "own.yaml", *given, "--json"))
     assert whole["config"] == yaml.safe_load(text)
     assert whole["origins"]["env.reward.kind"] == "own.yaml:3"
     assert whole["origins"]["env.observation.radius"] == "command line"
@@ -466,7 +466,7 @@ def test_a_configuration_without_a_file(
 ) -> None:
     assert "--schema: expected no configuration" in refused("config", "--schema", "train", "seed=1")
     text = printed(capsys, "config", "learner.kind=ppo", "seed=5")
-    assert text == printed(capsys, "config", "--show", "learner.kind=ppo", "seed=5")
+    assert text == printed(capsys, "config", "learner.kind=ppo", "seed=5")
     assert yaml.safe_load(text)["learner"]["kind"] == "ppo"
     assert text.startswith("seed: 5 ")
     assert text.splitlines()[0].endswith("# command line")

@@ -56,7 +56,7 @@ COMMANDS: dict[str, tuple[list[str], set[str]]] = {
     "route": (["p.gr"], {*ROUTED, "processor_seconds"}),
     "evaluate": (["p.gr", "p.solution"], ROUTED),
     "view": (["p.gr", "p.solution", "--out", "p.html"], {"out", "solutions"}),
-    "config": (["--show", "e.yaml"], {"config", "origins"}),
+    "config": (["e.yaml"], {"config", "origins"}),
     "train": (
         ["configs/paper/default.yaml", "env.problem=p.gr", "train.episodes=2", "out=t", *QUIET],
         {"out", "episodes", "rows"},
@@ -315,7 +315,7 @@ def completed(*words: str) -> list[str]:
         (("train", "--resume", "t", "train.th"), ["train.threads="]),
         (("experiment", "e.yaml", "routers.astar.b"), ["routers.astar.best_of="]),
         (("experiment", "none.yaml", "ro"), ["routers="]),
-        (("config", "--show", "e.yaml", "problems.small.n"), ["problems.small.nets="]),
+        (("config", "e.yaml", "problems.small.n"), ["problems.small.nets="]),
         (("benchmark", "--config", "configs/benchmark/baselines.yaml", "bu"), ["budget="]),
         (("benchmark", "--scenario", "mi"), ["mixed-v0"]),
         (("benchmark", "--router", "op"), ["optimal"]),

@@ -13,6 +13,8 @@ checked that what they name is there. A block ``bash`` is for the reader's own f
 """
 
 import importlib.util
+import inspect
+import json
 import re
 import shlex
 import shutil
@@ -392,3 +394,15 @@ def anchors(page: Path) -> set[str]:
 def test_the_commands_stand_where_ci_reads_them(mark: str, command: str) -> None:
     readme = PAGES[0].read_text(encoding="utf-8")
     assert re.search(rf"<!-- ci: {mark} -->\n```sh\n{re.escape(command)}\n```", readme)
+
+
+@pytest.mark.parametrize("name", ["astar", "optimal", "greedy", "local", "random"])
+def test_the_page_of_routers_has_every_option(name: str) -> None:
+    text = (ROOT / "docs" / "routers.md").read_text(encoding="utf-8")
+    table = text.partition("| router | options and their defaults |")[2].partition("## ")[0]
+    (row,) = re.findall(rf"^\| `{name}` \| (.+) \|$", table, re.MULTILINE)
+    for option, parameter in inspect.signature(registry.lookup("router", name)).parameters.items():
+        default = parameter.default
+        told = default if isinstance(default, str) else json.dumps(default).removesuffix(".0")
+        # Options of the game, and those without a default, are named alone.
+        assert re.search(rf"`{option}(={re.escape(told)})?`", row), option

@@ -68,7 +68,7 @@ def test_the_whole_is_shown_with_its_origins(
 ) -> None:
     write(FILES)
     monkeypatch.chdir(here.parent)
-    arguments = ["config", "--show", f"{here.name}/own.yaml", "train.threads=1"]
+    arguments = ["config", f"{here.name}/own.yaml", "train.threads=1"]
     assert status(arguments) == 0
     text = capsys.readouterr().out
     origins = {line.split("#")[1].strip() for line in text.splitlines() if "#" in line}

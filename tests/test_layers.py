@@ -1,5 +1,5 @@
-"""The house: two floors, of which ``marouting`` stands without the other and without torch; rooms
-that know only those below them; no circles among files."""
+"""Imports: ``marouting`` needs neither ``policies`` nor torch; a layer knows only those below it;
+no files import each other in a circle."""
 
 import ast
 import graphlib
@@ -16,15 +16,15 @@ import policies
 from marouting import registry
 
 ROOT = Path(marouting.__file__).parent
-DOOR = "__main__"
+START = "__main__"
 """The command's first step, which no other module knows: it hands over to ``policies``."""
 
-FILES = sorted(file for file in ROOT.rglob("*.py") if file.stem != DOOR)
-UPSTAIRS = {"policies", "torch"}
+FILES = sorted(file for file in ROOT.rglob("*.py") if file.stem != START)
+FORBIDDEN = {"policies", "torch"}
 OPTIONAL = {"cuda", "klayout", "matplotlib"}
 """What games on a device, a design that is read or a window that opens may import."""
 
-ROOMS = {
+LAYERS = {
     "marouting": (
         (
             "_version",
@@ -55,7 +55,7 @@ ROOMS = {
         ("vector", "gym_vector", "global_routing_v0", "configured"),
         ("cuda", "evaluation"),
         ("",),  # the package's own __init__.py
-        (DOOR,),
+        (START,),
     ),
     "policies": (
         ("command", "integrations", "interrupts"),
@@ -83,8 +83,8 @@ ROOMS = {
         ("",),
     ),
 }
-"""For each package its rooms, bottom to top, and the folders or files in each. A file may import
-from its own room and from those below."""
+"""For each package its layers, bottom to top, and the folders or files in each. A file may import
+from its own layer and from those below."""
 
 
 def imports(tree: ast.AST) -> Iterator[str]:
@@ -169,12 +169,12 @@ def import_graph(package: str) -> dict[str, set[str]]:
     }
 
 
-def room_of(module: str) -> int | None:
-    """The room that a module lies in, counted from the bottom; None for one without a room."""
+def layer_of(module: str) -> int | None:
+    """The layer of a module, counted from the bottom; None for one that has none."""
     package, _, name = module.partition(".")
     found = None
-    for i, room in enumerate(ROOMS[package]):
-        for known in room:
+    for i, layer in enumerate(LAYERS[package]):
+        for known in layer:
             inside = name == known or (known and name.startswith(f"{known}."))
             if inside and (found is None or len(known) > len(found[1])):
                 found = i, known
@@ -191,13 +191,13 @@ def test_nothing_needs_the_integrations() -> None:
 def test_there_is_something_to_look_at() -> None:
     assert {"engine.py", "problem.py", "configured.py"} <= {file.name for file in FILES}
     found = set(imports(ast.parse("def f():\n    import torch.nn\n    from policies import x")))
-    assert found == UPSTAIRS
+    assert found == FORBIDDEN
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(ROOT)))
-def test_nothing_from_upstairs(file: Path) -> None:
+def test_neither_torch_nor_policies(file: Path) -> None:
     tree = ast.parse(file.read_text(encoding="utf-8"))
-    assert not UPSTAIRS & set(imports(tree))
+    assert not FORBIDDEN & set(imports(tree))
     assert not OPTIONAL & set(at_import(tree))
 
 
@@ -219,7 +219,7 @@ def test_no_import_is_overlooked() -> None:
     assert "marouting.vector" in graph["marouting"]
 
 
-@pytest.mark.parametrize("package", ROOMS)
+@pytest.mark.parametrize("package", LAYERS)
 def test_no_files_import_each_other_in_a_circle(package: str) -> None:
     try:
         graphlib.TopologicalSorter(import_graph(package)).prepare()
@@ -227,25 +227,25 @@ def test_no_files_import_each_other_in_a_circle(package: str) -> None:
         pytest.fail("a circle, each imported by the next: " + ", ".join(error.args[1]))
 
 
-@pytest.mark.parametrize("package", ROOMS)
-def test_rooms_import_only_from_rooms_below(package: str) -> None:
+@pytest.mark.parametrize("package", LAYERS)
+def test_layers_import_only_from_layers_below(package: str) -> None:
     graph = import_graph(package)
-    rooms = {module: room_of(module) for module in graph}
-    assert [module for module, room in rooms.items() if room is None] == []
+    layers = {module: layer_of(module) for module in graph}
+    assert [module for module, layer in layers.items() if layer is None] == []
     upwards = [
         f"{module} imports {other}"
         for module, others in graph.items()
         for other in others
-        if rooms[other] > rooms[module]  # type: ignore[operator]
+        if layers[other] > layers[module]  # type: ignore[operator]
     ]
     assert upwards == []
 
 
-@pytest.mark.parametrize("room", ["routers", "results", "figures", "experiment", "cli"])
-def test_no_learner_is_named_outside_its_room(room: str) -> None:
+@pytest.mark.parametrize("folder", ["routers", "results", "figures", "experiment", "cli"])
+def test_no_learner_is_named_outside_its_folder(folder: str) -> None:
     learners = set(registry.names("learner"))
     assert "dqn" in learners
-    for file in (Path(policies.__file__).parent / room).rglob("*.py"):
+    for file in (Path(policies.__file__).parent / folder).rglob("*.py"):
         nodes = ast.walk(ast.parse(file.read_text(encoding="utf-8")))
         constants = {node.value for node in nodes if isinstance(node, ast.Constant)}
         assert not learners & constants, file
@@ -338,9 +338,9 @@ def test_the_plain_environments_need_no_compiler() -> None:
         "import marouting; marouting.sequential_astar(marouting.generate(1)[0])",
     ],
 )
-def test_a_fresh_process_loads_nothing_from_upstairs(use: str) -> None:
+def test_a_fresh_process_loads_neither_torch_nor_policies(use: str) -> None:
     """Transitively: what the imports of the imports bring in."""
-    unwanted = sorted(UPSTAIRS | OPTIONAL)
+    unwanted = sorted(FORBIDDEN | OPTIONAL)
     code = f"{use}; import sys; print([name for name in {unwanted} if name in sys.modules])"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120

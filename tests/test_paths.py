@@ -74,7 +74,7 @@ READ: dict[str, tuple[str, ...]] = {
     "view": ("view", "p.gr", "PATH", "--out", "o.html"),
     "view, moving": ("view", "p.gr", "PATH", "--out", "o.svg"),
     "view --checkpoint": ("view", "p.gr", "--checkpoint", "PATH", "--out", "o.svg"),
-    "config": ("config", "--show", "PATH"),
+    "config": ("config", "PATH"),
     "train": ("train", "PATH"),
     "train --resume": ("train", "--resume", "PATH"),
     "train problem=": ("train", "env.problem=PATH"),

@@ -139,7 +139,7 @@ def test_what_is_installed_runs_outside_the_checkout(
     found = subprocess.run(where, cwd=work, env=given, capture_output=True, text=True, check=True)
     assert Path(found.stdout.strip()).is_relative_to(site)
     assert marouting.__version__ in run("--version")
-    assert "default.yaml:" in run("config", "--show", "configs/multi.yaml")
+    assert "default.yaml:" in run("config", "configs/multi.yaml")
     if name != "wheel":
         return  # it holds the same
     run("generate", "--count", "2", "--nets", "10", "--out", "problems")

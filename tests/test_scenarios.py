@@ -903,8 +903,18 @@ def test_what_own_scenarios_are_refused() -> None:
     for name in ("toy-4x4-v0", "", 3, "a:b", "a/b-v0", "a b-v0", ["a"]):
         with pytest.raises(InputError, match=r"^name: expected (another one: |letters, digits, )"):
             scenarios.register(name, corridor)  # type: ignore[arg-type]
+    for env, said in (
+        ({"max_stepz": 3}, "max_stepz: unknown key; did you mean max_steps?"),
+        ({"max_steps": -3}, "max_steps: expected"),
+        ({"mask": {"visited": 3}}, "mask.visited: expected true or false"),
+    ):
+        scenarios.register("corridor-v0", corridor, env=env)
+        with pytest.raises(InputError, match=rf"^corridor-v0: env\.{re.escape(said)}"):
+            global_routing_v0.parallel_env(scenario="corridor-v0")
     again = scenarios.register("corridor-v0", corridor, test=2)
     assert scenarios.get("corridor-v0") is again
+    with pytest.raises(InputError, match=r"^max_steps: expected"):
+        global_routing_v0.parallel_env(scenario="corridor-v0", max_steps=-3)
 
     def growing(rng: np.random.Generator) -> Problem:
         return Field(int(rng.integers(3, 99)), 4).net((0, 0), (1, 1)).problem()
@@ -939,8 +949,6 @@ def test_what_own_scenarios_are_refused() -> None:
         ({"open_cost": "x"}, "open_cost: expected a number, found 'x'"),
         ({"mirrors": "x"}, "mirrors: expected true or false, found 'x'"),
         ({"env": {"split": "test"}}, "env: expected no key split: the scenario is what is play"),
-        ({"env": {"max_stepz": 3}}, "env.max_stepz: unknown key; did you mean max_steps?"),
-        ({"env": {"max_steps": -3}}, "env.max_steps: expected"),
         ({"references": 3}, "references: expected a path, found 3"),
         ({"training": 3}, "training: expected a mapping, found 3"),
         ({"accept": 3}, "accept: expected a function, found 3"),

@@ -16,7 +16,7 @@ Where options or commands name a scenario, ``module:NAME`` stands for one in a m
 
 from typing import Any
 
-from marouting.config import check, under
+from marouting.config import check
 from marouting.errors import InputError, nearest
 from marouting.registry import imported
 from marouting.scenarios.cooperation import COOPERATION
@@ -67,7 +67,7 @@ def load(name: str) -> Scenario:
         if not isinstance(found, Scenario):
             module, _, own = name.partition(":")
             raise InputError(f"scenario: {name}: there is no scenario {own} in {module}")
-        _imported[name] = _known.setdefault(found.name, _checked(found))
+        _imported[name] = _known.setdefault(found.name, found)
     return get(name)
 
 
@@ -93,18 +93,7 @@ def register(name: str, generator: Generator, **options: Any) -> Scenario:
     Raises:
         InputError: a scenario of the package has this name, or an argument cannot be used.
     """
-    scenario = _checked(Scenario(name, generator, **options))
+    scenario = Scenario(name, generator, **options)
     check("name", name not in _shipped, f"another one: the package has a scenario {name}")
     _known[name] = scenario
-    return scenario
-
-
-def _checked(scenario: Scenario) -> Scenario:
-    """A scenario of the user's; raises InputError if no game has the options that it suggests."""
-    from marouting.options import game_options  # which imports this module
-
-    try:
-        game_options(scenario.env)
-    except InputError as error:
-        raise under("env", error) from None
     return scenario

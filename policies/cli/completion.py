@@ -25,14 +25,13 @@ def keys_of(command: str) -> Complete:
     """Completes KEY=VALUE by the keys of a command's configurations.
 
     Args:
-        command: ``train``, ``experiment`` or ``benchmark``; their file is the parameter ``config``
-            or ``show``.
+        command: ``train``, ``experiment`` or ``benchmark``; their file is the parameter ``config``.
     """
 
     def complete(ctx: click.Context, _: click.Parameter, incomplete: str) -> list[CompletionItem]:
         from policies.cli.resolved import kind_of, kinds
 
-        given = (ctx.params.get(name) for name in ("resume", "config", "show"))
+        given = (ctx.params.get(name) for name in ("resume", "config"))
         file = next((file for file in given if file), None)
         try:
             path = Path(file) / "config.yaml" if file and is_dir(file) else file

@@ -76,6 +76,7 @@ _RENAMED_OPTIONS = {
     "benchmark --jobs": "jobs=N",
     "benchmark --page": "--leaderboard PAGE",
     "benchmark --results": "--out FOLDER",
+    "config --show": "marouting config FILE",
     "route --seed": "seed=N",
     "view --fps": "--frames N: an animation takes about 12 seconds",
     "view --router": "marouting route PROBLEM --router NAME --out FILE, and view of that file",
@@ -177,7 +178,7 @@ def convert(
     (.guide; --format patched-guide gives more room around pins and at crowded places) or ISPD
     2024's output (.PR_output); OpenROAD's route segments are read as well. Any of
     them may be compressed (.gz). Routes that a format cannot hold are an error. A note on
-    standard error says what ISPD text cannot hold of a chip's files.
+    standard error says what is lost of a chip's files in ISPD text.
     """
     known: Sequence[str] = FORMATS if solution is None else ROUTE_FORMATS
     if format is not None and format not in known:
@@ -423,13 +424,8 @@ def evaluate_command(
 
 
 @cli.command("config")
+@click.argument("config", type=FILE, required=False, shell_complete=file_or_keys)
 @overrides_argument(keys_of("train"))
-@click.option(
-    "--show",
-    type=FILE,
-    metavar="FILE",
-    help="The configuration to show.  [default: that of a training without a file]",
-)
 @click.option(
     "--schema",
     type=click.Choice(["train", "experiment", "benchmark"]),
@@ -439,23 +435,24 @@ def evaluate_command(
 @allow_code_option
 @json_option
 def config_command(
-    overrides: tuple[str, ...], show: Path | None, schema: str | None, as_json: bool
+    config: Path | None, overrides: tuple[str, ...], schema: str | None, as_json: bool
 ) -> None:
     """Show all values of a configuration, and where each comes from.
 
-    FILE is the YAML file of a training, an experiment or a benchmark. Keys that it leaves out have
-    their defaults. KEY=VALUE changes a key: "marouting config learner.kind=ppo".
+    CONFIG is the YAML file of a training, an experiment or a benchmark; without it, the defaults of
+    a training are shown. Keys that it leaves out have their defaults. KEY=VALUE changes a key:
+    "marouting config learner.kind=ppo".
     """
     from policies.cli.resolved import resolve, schema_of, text_of
 
-    if show is not None and "=" in str(show) and not exists(show):
-        show, overrides = None, (str(show), *overrides)
+    if config is not None and "=" in str(config) and not exists(config):
+        config, overrides = None, (str(config), *overrides)
     if schema is not None:
-        if show is not None or overrides:
+        if config is not None or overrides:
             raise InputError("--schema: expected no configuration beside it")
         click.echo(json.dumps(schema_of(schema), indent=None if as_json else 1))
         return
-    whole, origins = resolve(show, overrides)
+    whole, origins = resolve(config, overrides)
     if as_json:
         by_key = {".".join(keys): origin for keys, origin in origins.items()}
         click.echo(json.dumps({"config": whole, "origins": by_key}))

@@ -91,7 +91,10 @@ class Experiment:
             raw = {**raw, "routers": own, "reference": None}
             before = build(ExperimentConfig, raw, str(kept))
         theirs = self._rows_depend_on(before, before)
-        check_same(self._rows_depend_on(self.config, before), theirs, kept)
+        try:
+            check_same(self._rows_depend_on(self.config, before), theirs, kept)
+        except InputError as error:
+            raise InputError(f"{error}: give another out, or the router another name") from None
         return before
 
     def _rows_depend_on(

@@ -315,7 +315,7 @@ _warm: set[str] = set()
 def work_on(
     parts: Sequence[Part], jobs: int, threads: int, engine: EngineName = "local"
 ) -> Iterator[list[Part]]:
-    """Works on parts, in order as far as there is room; about every second those done since.
+    """Works on parts, beginning in order; yields about every second those that were done since.
 
     All work ends at once when the iteration ends early, by an error or Ctrl-C, or when this process
     is killed.

@@ -37,7 +37,7 @@ Share = Annotated[float, between(-3, 4)]
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """A problem, and what its scores are measured between.
+    """A problem, with the solutions that have the scores 0 and 1.
 
     Attributes:
         problem: its name in the scenario.

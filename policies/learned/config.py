@@ -62,7 +62,7 @@ class TrainOptions:
         negotiation: prices in the games, for the generalist
             (:class:`marouting.batch.prices.Negotiation`); None: none.
         policy: which network is saved: ``best``, that of the best evaluation, or ``last``, for a
-            learner whose steps get smaller to the end.
+            learner whose learning rate falls to the end.
         device: ``cpu`` or ``cuda``. With ``cuda`` the networks are on the device; for ppo, ippo and
             mappo with ``games``, so are all games (:mod:`policies.learned.device_trainer`).
         threads: threads that share the networks of a training.

@@ -1,4 +1,4 @@
-"""What of the machine learners use: threads and devices."""
+"""The threads and the device that learners use."""
 
 import numba
 import torch

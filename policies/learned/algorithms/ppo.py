@@ -43,9 +43,8 @@ class PPOOptions:
     """The options of PPO.
 
     Attributes:
-        network: gives the scores of the six moves (the actor), and made again with one output,
-            the value of what it sees (the critic). By default a multilayer perceptron with two
-            layers of 64.
+        network: of the actor, which has an output for each action; the critic is a second one with
+            a single output. By default a multilayer perceptron with two layers of 64.
         critic: ``local``, it sees what the agent sees, or ``central``, the game's state as well.
         num_envs: games of every problem that are played side by side.
         gamma: discount factor.
@@ -55,7 +54,8 @@ class PPOOptions:
         rollout: transitions between updates.
         minibatch: transitions of a gradient step; a divisor of ``rollout``.
         epochs: how often each transition is learned from.
-        clip: how far the chance of a move may change, as a ratio, before it stops paying.
+        clip: ε, how far the ratio of an action's new and old probability may be from 1 before it is
+            clipped.
         entropy: weight of the policy's entropy in the loss, which keeps it from settling too soon.
         reward_scale: factor of all rewards: the critic learns numbers of the order of 1.
         max_gradient: length that longer gradients are cut to.

@@ -78,9 +78,9 @@ class PathfinderOptions:
             solution.
         min_repair_fraction: a repairing pass reroutes as many nets as overflow or take a detour, or
             this share of all nets if that is more.
-        patience_factor: when repairing ends, the search ends, too, if it has made this many times
-            as many passes as up to its best solution, which counts as found in the twentieth pass
-            if it was found before. Otherwise the next round begins. On the 121 published problems
+        patience_factor: when repairing ends, the search ends, too, if its passes so far are at
+            least this many times the pass that found the best solution (20, if that was earlier).
+            Otherwise the next round begins. On the 121 published problems
             of Liao et al., no optimum is missed with any of sixteen seeds.
         passes: the search ends after this many passes at the latest.
         seconds: limit of processor time, so that other work on the machine does not matter; with
