@@ -358,13 +358,13 @@ class Game:
 
     def first_present(self) -> int:
         """What one net too many adds to the cost of an edge at first, in 1024ths."""
-        return round(1024 * self.negotiation.present)
+        return round(1024 * self.negotiation.present_factor)
 
     def calm(self) -> int:
         """What steps of the prices are divided by, in hundredths."""
         if self.best is not None and self.best[0][1] > 0:
             return 100
-        return 100 + round(100 * self.negotiation.calm) * self.negotiations
+        return 100 + round(100 * self.negotiation.step_decay) * self.negotiations
 
     def cost(self, n: int) -> int:
         """What a net's edges cost it at the prices, in sixteenths."""

@@ -52,8 +52,8 @@ extensions = st.fixed_dictionaries(
             Negotiation,
             prices=st.booleans(),
             patience=st.sampled_from([0, 1]),
-            present=st.sampled_from([0.1, 0.6, 2]),
-            calm=st.sampled_from([0, 0.3, 2]),
+            present_factor=st.sampled_from([0.1, 0.6, 2]),
+            step_decay=st.sampled_from([0, 0.3, 2]),
         ),
     }
 )
@@ -133,8 +133,8 @@ def test_engine_plays_by_the_rules(
         assert engine.metrics().steps == game.steps
 
 
-@pytest.mark.parametrize("calm", [0, 0.3])
-def test_nets_negotiate_again_and_again(calm: float) -> None:
+@pytest.mark.parametrize("decay", [0, 0.3])
+def test_nets_negotiate_again_and_again(decay: float) -> None:
     """Prices are as the model says, in games so long that they rise to the full and fall again."""
     negotiations, lasted = 0, False
     for seed in range(4):
@@ -143,7 +143,7 @@ def test_nets_negotiate_again_and_again(calm: float) -> None:
             "turn_order": "sequential",
             "overflow": "allowed",
             "rip_up": {"rounds": 60},
-            "negotiation": Negotiation(calm=calm),
+            "negotiation": Negotiation(step_decay=decay),
             "max_steps": 8,
         }
         engine, game = Engine([problem], **rules), Game(problem, **rules)

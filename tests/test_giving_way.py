@@ -249,7 +249,7 @@ def test_how_cheaply_nets_share_at_first(present: float, overflow: int) -> None:
     """
     problem = replace(CROSSING, nets=CROSSING.nets[:2])
     options: dict[str, Any] = {
-        "negotiation": Negotiation(present=present),
+        "negotiation": Negotiation(present_factor=present),
         "overflow": "allowed",
     }
     engine = Engine([problem], rip_up={"rounds": 2}, max_steps=6, **options)
@@ -355,7 +355,7 @@ def test_pettingzoo_accepts_rounds(choose: str, more: dict[str, Any]) -> None:
 
 def test_only_the_generalist_negotiates() -> None:
     said = r"rip_up_\w+: unknown key; .*only the generalist negotiates by prices"
-    for name in ("prices", "patience", "present", "calm"):
+    for name in ("prices", "patience", "present_factor", "step_decay"):
         option: dict[str, Any] = {f"rip_up_{name}": 1}
         for make in (game.env, game.parallel_env, GlobalRoutingSingle):
             with pytest.raises(TypeError, match=said):
@@ -397,10 +397,10 @@ def test_bad_options_of_negotiation() -> None:
     for bad, expected in [
         ({"patience": -1}, "patience: expected 0 to"),
         ({"prices": 1}, "prices: expected true or false"),
-        ({"present": 0}, "present: expected 0.01 to 2, found 0"),
-        ({"present": float("nan")}, "present: expected a number, found nan"),
-        ({"present": True}, "present: expected a number, found True"),
-        ({"calm": -0.1}, "calm: expected 0 to 1000, found -0.1"),
+        ({"present_factor": 0}, "present_factor: expected 0.01 to 2, found 0"),
+        ({"present_factor": float("nan")}, "present_factor: expected a number, found nan"),
+        ({"present_factor": True}, "present_factor: expected a number, found True"),
+        ({"step_decay": -0.1}, "step_decay: expected 0 to 1000, found -0.1"),
     ]:
         with pytest.raises(InputError, match=expected):
             Negotiation(**bad)  # type: ignore[arg-type]

@@ -13,8 +13,8 @@ contested edges first. What overflow adds to a price grows along with ``present`
 via costs 1. An edge that can never hold the net costs the maximum.
 
 When priced rounds follow plain ones, ``present`` begins with the option's value again but grows
-more slowly, and prices are lowered. With ``calm``, once there are routes without overflow, prices
-change by less each time. Such diminishing steps are usual in
+more slowly, and prices are lowered. With ``step_decay``, once there are routes without overflow,
+prices change by less each time. Such diminishing steps are usual in
 subgradient methods (Held, Wolfe and Crowder, "Validation of subgradient optimization", Mathematical
 Programming 6, 1974).
 
@@ -45,7 +45,7 @@ LEAST_PRESENT, MOST_PRESENT = 0.01, 2.0
 prices."""
 
 LARGEST = int(MOST_PRESENT * WHOLE)  # the largest ``present``, in parts of ``WHOLE``
-MOST_CALM = 1000.0  # the largest ``calm``: from the second negotiation on prices no longer rise
+MOST_DECAY = 1000.0  # with the largest ``step_decay`` prices rise in one negotiation only
 
 _RISE, MOST_RISE = 192, 640
 """What overflow adds to the price of an edge before a priced round, in parts of ``WHOLE``: as long
@@ -68,11 +68,11 @@ class Negotiation:
             allowed`` only.
         patience: number of rounds after which one more neighbour is ripped up with a net, starting
             with none; 0: ``rip_up.neighbours`` of them from the first round on.
-        present: initial factor of overflow in the cost of an edge, 0.01 to 2. A larger one removes
-            overflow sooner and makes routes longer.
-        calm: how fast price changes shrink once there are routes without overflow: the r-th
-            negotiation after the first multiplies them by 1 / (1 + calm · r). 0 to 1000, in steps
-            of 0.01.
+        present_factor: initial factor of overflow in the cost of an edge, 0.01 to 2. A larger one
+            removes overflow sooner and makes routes longer.
+        step_decay: how fast price changes shrink once there are routes without overflow: the r-th
+            negotiation after the first multiplies them by 1 / (1 + step_decay · r). 0 to 1000, in
+            steps of 0.01.
 
     Raises:
         InputError: an option is out of range.
@@ -80,14 +80,14 @@ class Negotiation:
 
     prices: bool = True
     patience: int = 0
-    present: float = 0.1
-    calm: float = 0.0
+    present_factor: float = 0.1
+    step_decay: float = 0.0
 
     def __post_init__(self) -> None:
         bounds = {
             "patience": (0, MOST_ROUNDS),
-            "present": (LEAST_PRESENT, MOST_PRESENT),
-            "calm": (0.0, MOST_CALM),
+            "present_factor": (LEAST_PRESENT, MOST_PRESENT),
+            "step_decay": (0.0, MOST_DECAY),
         }
         check_fields(self, **bounds)
 

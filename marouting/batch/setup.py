@@ -181,8 +181,8 @@ def _options(
     options[Option.RIP_UP] = Choice[rip_up.choose.upper()]
     options[Option.AGAIN_MOST] = again
     options[Option.PATIENCE] = negotiation.patience
-    options[Option.PRESENT] = round(negotiation.present * WHOLE)
-    options[Option.CALM] = round(negotiation.calm * 100)
+    options[Option.PRESENT] = round(negotiation.present_factor * WHOLE)
+    options[Option.CALM] = round(negotiation.step_decay * 100)
     options[Option.MOVES] = rules.moves
     options[Option.WAIT] = rules.wait
     rows = {

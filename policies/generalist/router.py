@@ -62,8 +62,8 @@ _FEW, _PRESENT, _POWER = 2.0, 2.8, 1.5
 ``present`` is the second one, divided by their number, to the power of the third: with
 little time nets share less, and have parted sooner."""
 
-_CALM = 0.3
-"""``calm``: there are rounds enough for prices to come to rest."""
+_DECAY = 0.3
+"""``step_decay``: there are rounds enough for prices to come to rest."""
 
 _COLD = np.zeros(1, np.float32)  # the temperature at which the best moves are made
 
@@ -158,7 +158,7 @@ class GeneralistRouter:
         rounds = _rounds(options.rounds, options.neighbours)
         self._rules = replace(env.rules, turn_order="sequential", rip_up=rounds)
         prices = options.prices and options.rounds > 0 and env.overflow == "allowed"
-        self._negotiation = Negotiation(prices=prices, patience=options.patience, calm=_CALM)
+        self._negotiation = Negotiation(prices=prices, patience=options.patience, step_decay=_DECAY)
 
     def warm_up(self, problem: Problem) -> None:
         """Compiles what routing needs, in a round at most."""
@@ -215,9 +215,9 @@ class GeneralistRouter:
             walks = min(walks, o.seconds / max(float(times.sum()), 1e-9))
         if walks < _FEW:
             return replace(self._negotiation, prices=False)
-        usual = self._negotiation.present
+        usual = self._negotiation.present_factor
         present = min(max(usual, (_PRESENT / walks) ** _POWER), MOST_PRESENT)
-        return replace(self._negotiation, present=present)
+        return replace(self._negotiation, present_factor=present)
 
     def _rip_up(self, engine: Engine, walker: Walker, began: float) -> None:
         """Rip-up rounds, until the time is over."""
