@@ -269,21 +269,37 @@ def test_the_leaderboard_is_made_of_files_alone(
     assert page.read_text(encoding="utf-8") == text
 
 
-def test_all_rows_are_scored_against_the_best_reference(tmp_path: Path) -> None:
+def rescored(result: Result, *tasks: Task, **found: tuple[int, int, int]) -> Result:
+    """A result with other tasks, and other figures of some problems."""
+    by_name = {task.problem: task for task in tasks}
+    rows = []
+    for row in result.outcomes:
+        own = Figures(*found.get(row.problem, row.figures or ()))
+        figures = {"open": own.open, "overflow": own.overflow, "wirelength": own.wirelength}
+        rows.append(replace(row, **figures, score=by_name[row.problem].score(own)))
+    return replace(result, tasks=tasks, outcomes=tuple(rows))
+
+
+def test_all_rows_are_scored_against_the_best_solution(tmp_path: Path) -> None:
+    """That of a file, or one that a router has found; none is better than a proven optimum."""
     old, new = made("old"), made("new")
-    tasks = (replace(new.tasks[0], reference=(0, 0, 95)), new.tasks[1])
-    rows = tuple(
-        replace(row, score=tasks[0].score(row.figures)) if row.problem == "a" and row.figures
-        else row
-        for row in new.outcomes
-    )  # fmt: skip
-    old.write(tmp_path)
-    replace(new, tasks=tasks, outcomes=rows).write(tmp_path)
+    a, b = (replace(task, proven=False) for task in old.tasks)
+    known = replace(a, reference=(0, 0, 95), proven=True)
+    rescored(old, a, b).write(tmp_path)
+    rescored(new, known, b, b=(0, 0, 98)).write(tmp_path)
     ((group, found),) = read_groups(tmp_path).items()
     assert group == ("some-v0", "test")
     for result in found:
-        assert result.tasks == tasks
+        assert result.tasks == (known, replace(b, reference=(0, 0, 98)))
         assert result.outcomes[0].score == pytest.approx(15 / 25)
+    assert {row.score for row in found[0].outcomes if row.problem == "b"} == {1.0}
+    better = rescored(old, a, b, a=(0, 0, 94))
+    for wrong in (better, rescored(old, replace(a, reference=(0, 0, 94)), b)):
+        wrong.write(tmp_path)
+        what = r"old.json: (outcomes|tasks): a: expected none better than the proven optimum \(0, 0"
+        with pytest.raises(InputError, match=what):
+            read_groups(tmp_path)
+    rescored(old, a, b).write(tmp_path)
     other = (replace(new.tasks[0], astar=(0, 0, 121)), new.tasks[1])
     rows = tuple(
         replace(row, score={t.problem: t for t in other}[row.problem].score(row.figures))

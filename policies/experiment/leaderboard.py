@@ -13,6 +13,7 @@ from typing import Any
 from marouting import InputError, scenarios
 from marouting.config import check
 from marouting.files import write_text
+from marouting.scenarios.score import Figures
 from policies.experiment.result import Result, Task, read_result, summarise
 from policies.results.rows import RESULTS
 
@@ -54,9 +55,9 @@ def read_groups(results: Path) -> dict[_Group, list[Result]]:
 
 
 def _aligned(found: Mapping[Path, Result]) -> list[Result]:
-    """Results of one scenario with the best references of all of them, the best first."""
+    """Results of one scenario with the best solutions that one of them knows, the best first."""
     first = next(iter(found))
-    tasks: dict[str, Task] = dict(found[first].by_name)
+    tasks, scale = found[first].by_name, found[first].scale
     names: dict[str, Path] = {}
     for file, result in found.items():
         twice = f"another than {result.name}, as in {names.get(result.name)}"
@@ -67,18 +68,32 @@ def _aligned(found: Mapping[Path, Result]) -> list[Result]:
             known = tasks[task.problem]
             where = f"{file}: tasks: {task.problem}: astar"
             check(where, task.astar == known.astar, f"{list(known.astar)}, as in {first}")
-            if _reference(task) < _reference(known):
-                tasks[task.problem] = task
-        scale = found[first].scale
-        what = f"that of {first}, found another"
-        check(f"{file}: scale", result.scale == scale, what)
-    aligned = [_rescored(result, tasks) for result in found.values()]
-    return sorted(aligned, key=_rank)
+        check(f"{file}: scale", result.scale == scale, f"that of {first}, found another")
+    tasks = {problem: _best_known(task, found) for problem, task in tasks.items()}
+    return sorted((_rescored(result, tasks) for result in found.values()), key=_rank)
 
 
-def _reference(task: Task) -> tuple[bool, tuple[int, int, int], bool]:
-    """By which references are compared, the best first; none is the last."""
-    return task.reference is None, task.reference or task.astar, not task.proven
+def _best_known(task: Task, found: Mapping[Path, Result]) -> Task:
+    """A task with the best solution of it that results know; raises InputError if it cannot be."""
+    references: list[tuple[Figures, str]] = []
+    optimum: Figures | None = None
+    for file, result in found.items():
+        own = result.by_name[task.problem]
+        if own.reference is not None:
+            references.append((Figures(*own.reference), f"{file}: tasks"))
+            optimum = references[-1][0] if own.proven else optimum
+    if not references:
+        return task
+    routed = [
+        (row.figures, f"{file}: outcomes")
+        for file, result in found.items()
+        for row in result.outcomes
+        if row.problem == task.problem and row.figures is not None
+    ]
+    best, where = min(references + routed)
+    what = f"none better than the proven optimum {optimum and tuple(optimum)}, found {tuple(best)}"
+    check(f"{where}: {task.problem}", optimum in (None, best), what)
+    return replace(task, reference=(*best,), proven=optimum is not None)
 
 
 def _rescored(result: Result, tasks: Mapping[str, Task]) -> Result:
@@ -162,7 +177,7 @@ PLANNER_NOTES = (
     "solution known); by open nets, then overflow, then wirelength; interquartile mean over "
     "problems and seeds with its 95 % bootstrap interval. **Open**: problems with open nets. "
     "**Overflow**: the sum, in tracks. **Gap**: mean wirelength above the reference, of the "
-    "solutions with its open nets and overflow; in brackets the number of problems, if not "
+    "solutions with its open nets and overflow; in brackets how many problems have one, if not "
     "all. **At reference**: solutions as good as it. **W/T/L**: wins, ties and losses against "
     "A*. All of these are per seed. **Seconds**: median wall time per problem."
 )
@@ -170,13 +185,13 @@ PLANNER_NOTES = (
 
 POLICY_NOTES = (
     "**Score**: 0 for the best local rule, 1 for the optimum; interquartile mean "
-    "over the seeds with its 95 % bootstrap interval. **Cost**: wirelength and open tasks, divided "
-    "by the optimum's wirelength; interquartile mean over the seeds. **Solved**: problems without "
-    "open tasks. **Connected**: share of the tasks. **Gap**: mean wirelength above the optimum, of "
-    "the solved problems. **Sees**: what a net sees when it chooses, verified for radii. Planners "
-    "see the whole problem: they are bounds, not competitors. **Teacher**: whether it learned from "
-    "a router with sight of the whole problem. **Agent-steps** and **training** (processor time): "
-    "of one seed."
+    "over the seeds with its 95 % bootstrap interval. **Cost**: wirelength, open tasks and "
+    "overflow, divided by the optimum's wirelength; interquartile mean over the seeds. **Solved**: "
+    "problems without open tasks and overflow. **Connected**: share of the tasks. **Gap**: mean "
+    "wirelength above the optimum, of the solved problems. **Sees**: what a net sees when it "
+    "chooses, verified for radii. Planners see the whole problem: they are bounds, not "
+    "competitors. **Teacher**: whether it learned from a router with sight of the whole problem. "
+    "**Agent-steps** and **training** (processor time): of one seed."
 )
 """What the columns of policies mean."""
 
@@ -253,7 +268,7 @@ def cells_of(row: Mapping[str, Any]) -> list[str]:
     seconds = "?" if row["solution_seconds"] is None else f"{row['solution_seconds']:.2g}"
     score = gap = at_reference = opened = record = "?"
     if row["score"] is not None:
-        few = f" ({row['gap_problems']})" if row["gap_problems"] < row["problems"] else ""
+        few = f" ({row['gap_problems']:g})" if row["gap_problems"] < row["problems"] else ""
         score = "{mean:.3f} [{low:.3f}, {high:.3f}]".format(**row["score"])
         gap = "" if row["gap"] is None else f"{row['gap']:.2f}{few}"
         at_reference = f"{row['at_reference']:.0f}"

@@ -270,7 +270,8 @@ def summarise(result: Result) -> dict[str, Any]:
         ``open``: problems with open nets, and ``overflow``: the total in tracks, averaged over the
         seeds;
         ``gap``: mean wirelength above the reference's in %, of the solutions with as few open nets
-        and as little overflow, and ``gap_problems``, how many problems have one;
+        and as little overflow, and ``gap_problems``, how many problems have one, averaged over the
+        seeds;
         ``at_reference``: percent of the solutions that are as good as the reference, and
         ``proven``: percent of the problems whose reference is proven;
         ``wins``, ``ties`` and ``losses`` against A*, averaged over the seeds;
@@ -314,13 +315,13 @@ def summarise(result: Result) -> dict[str, Any]:
         own[row.problem].append(row.score or 0.0)
     scores = np.array(list(own.values()), np.float64)
     low, high = bootstrap_interval(scores)
-    gaps = [(task.problem, gap(figures, best[task.problem])) for task, figures in found]
-    known = [(problem, above) for problem, above in gaps if above is not None]
+    gaps = [gap(figures, best[task.problem]) for task, figures in found]
+    known = [above for above in gaps if above is not None]
     return {
         **summary,
         "score": {"mean": interquartile_mean(scores.ravel()), "low": low, "high": high},
-        "gap": statistics.fmean(above for _, above in known) if known else None,
-        "gap_problems": len({problem for problem, _ in known}),
+        "gap": statistics.fmean(known) if known else None,
+        "gap_problems": _whole(round(len(known) / seeds, 1)),
         "at_reference": 100 * sum(f <= best[task.problem] for task, f in found) / len(rows),
         **compared,
     }
