@@ -160,8 +160,9 @@ class Columns:
         state[:, :via] = self.remaining.reshape(-1, AXES)[:, :via]
         vias = [edge // AXES for used in game.used for edge in used if edge % AXES == via]
         np.add.at(state[:, via], vias, 1)
-        np.add.at(state[:, AXES], [game.cell[n] for n in game.active], 1)
-        np.add.at(state[:, AXES + 1], [game.target[n] for n in game.active], 1)
+        routing = [n for n in game.active if game.status[n] == ACTIVE]  # until the round is over
+        np.add.at(state[:, AXES], [game.cell[n] for n in routing], 1)
+        np.add.at(state[:, AXES + 1], [game.target[n] for n in routing], 1)
         whole = state.reshape(1, *self.grid.shape[:2], -1)
         if out is None:
             return whole

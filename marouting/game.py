@@ -501,7 +501,10 @@ class Game:
         return Solution(self.problem, routes)
 
     def copy(self) -> "Game":
-        """An independent copy of the game in its present state; constant parts are shared."""
+        """An independent copy of the game in its present state; constant parts are shared.
+
+        A subclass with a state of its own extends this.
+        """
         twin = copy.copy(self)
         for name in ("remaining", *self.COLUMNS, "active", "queue", "ripped", "history"):
             setattr(twin, name, copy.copy(getattr(self, name)))

@@ -344,6 +344,18 @@ def has_form(piece: object, plain: str, columns: str) -> bool:
     return False
 
 
+def has_columns(piece: object, columns: str, plain: str) -> bool:
+    """Whether a piece has ``columns``, and no class of a user's overrides only ``plain``."""
+    if columns in getattr(piece, "__dict__", {}):
+        return True
+    for cls in type(piece).__mro__:
+        if columns in vars(cls):
+            return True
+        if plain in vars(cls) and not cls.__module__.startswith(("marouting.", "policies.")):
+            return False  # in the package both agree
+    return False
+
+
 register("observation", "paper", PaperObservation)
 register("observation", "window", "marouting.batch.window:WindowObservation")
 register("observation", "outlook", "policies.generalist.outlook:OutlookObservation")

@@ -54,6 +54,7 @@ from marouting.memory import check_memory
 from marouting.observations import (
     Observation,
     PaperObservation,
+    has_columns,
     has_move_order,
     move_order_of,
     space_of,
@@ -225,11 +226,16 @@ class Player:
         turned: bool = False,
     ) -> None:
         for name, piece in (("observation", observation), ("reward", reward)):
-            columns = FORMS[name][0]
+            columns, plain = FORMS[name][:2]
             what = f"an object with {columns}, which all but AEC, Parallel and gymnasium.make need"
-            check(name, hasattr(piece, columns), f"{what}, found {type(piece).__name__}")
+            found = f"found {type(piece).__name__}"
+            if hasattr(piece, columns) and not has_columns(piece, columns, plain):
+                found += f", which has a {plain} of its own and inherits {columns}"
+            check(name, has_columns(piece, columns, plain), f"{what}, {found}")
         self.engine, self.observation, self.reward = engine, observation, reward
         self.turned = turned and has_move_order(observation)
+        # Those of the package write every number.
+        self._clears = not type(observation).__module__.startswith(("marouting.", "policies."))
         self.everyone, self.draws = everyone, draws
         problems, agents = engine.nets.shape
         if buffers is None:
@@ -544,6 +550,8 @@ class Player:
         if fast.observation:
             see_paper(engine.static, engine.dynamic, fast.via_capacity, problems, agents, out)
         else:
+            if self._clears:
+                out[...] = 0
             write_rows(self.observation, engine, problems, agents, out)
 
     def _look(self, which: NDArray[np.bool_] | None) -> None:

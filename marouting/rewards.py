@@ -46,6 +46,7 @@ from marouting.columns import Before, Games
 from marouting.config import check, of_key, piece
 from marouting.errors import InputError
 from marouting.game import NOBODY, Crossing, Ending, Game
+from marouting.observations import has_columns
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.registry import register
 
@@ -326,7 +327,7 @@ class MixedReward:
             check(key, fits, f"{-_MOST_WEIGHT:g} to {_MOST_WEIGHT:g}, found {weight!r}")
             reward = piece("reward", options, where=f"parts.{number}").make()
             what = f"a reward that has __call__, not pay alone, found {type(reward).__name__}"
-            check(f"parts.{number}", callable(reward), what)
+            check(f"parts.{number}", has_columns(reward, "__call__", "pay"), what)
             made.append((float(weight), reward))
         return made
 
@@ -336,7 +337,7 @@ class MixedReward:
         """What the moves pay; see :class:`Reward`."""
         paid = np.zeros(games.agents.shape)
         for weight, reward in self.rewards:
-            paid += weight * np.asarray(reward(games, before, movers))
+            paid += weight * _shaped(reward(games, before, movers), games, reward)
         return paid
 
 
@@ -479,15 +480,22 @@ def _reaches(games: Games, m: int, n: int, remaining: NDArray[np.integer]) -> bo
     return target in reached
 
 
+def _shaped(paid: Any, games: Games, reward: Reward) -> NDArray[Any]:
+    """(M, N) numbers that a reward has returned; raises InputError for anything else."""
+    numbers = np.asarray(paid)
+    if numbers.shape != games.nets.shape or numbers.dtype.kind not in "fiub":
+        found = numbers.shape if numbers.dtype.kind in "fiub" else type(paid).__name__
+        expected = f"expected shape {games.nets.shape}, found {found}"
+        raise InputError(f"reward: {expected} from {type(reward).__name__}")
+    return numbers
+
+
 def paid_by(
     reward: Reward, games: Games, before: Before, movers: NDArray[np.int32]
 ) -> NDArray[np.float32]:
     """(M, N) what a reward pays for moves; raises InputError for a wrong shape, NaN or infinity."""
-    paid = np.asarray(reward(games, before, movers), np.float32)
+    paid = _shaped(reward(games, before, movers), games, reward).astype(np.float32)
     name = type(reward).__name__
-    if paid.shape != games.nets.shape:
-        expected = f"expected shape {games.nets.shape}, found {paid.shape}"
-        raise InputError(f"reward: {expected} from {name}")
     if not np.isfinite(paid).all():
         found = paid[~np.isfinite(paid)][0]
         raise InputError(f"reward: expected finite numbers, found {found} from {name}")

@@ -250,9 +250,27 @@ class Normed(Scaled):
         self.inner.append(nn.BatchNorm1d(outputs))
 
 
+class Wide(Scaled):
+    def __init__(self, obs_shape: tuple[int, ...], outputs: int) -> None:
+        super().__init__(obs_shape, outputs + 1)
+
+
+class Pairs(Scaled):
+    def forward(self, obs: torch.Tensor) -> Any:
+        return super().forward(obs), obs
+
+
+class Narrow(Scaled):
+    def __init__(self, obs_shape: tuple[int, ...], outputs: int) -> None:
+        super().__init__((obs_shape[0] + 1,), outputs)
+
+
 @pytest.mark.parametrize(
     ("network", "expected"),
     [
+        (Wide, rf"expected one from \(B, {FEATURES}\) to \(B, {MOVES}\), found \(2, 7\) for B = 2"),
+        (Pairs, rf"expected one from \(B, {FEATURES}\) to \(B, {MOVES}\), found None for B = 2"),
+        (Narrow, rf"expected one from \(B, {FEATURES}\) to \(B, {MOVES}\): "),
         (RandomBuffer, "expected buffers without random numbers, found drawn"),
         (Dropping, "expected layers that work alike in training and in play, found Dropout"),
         (Normed, "expected layers that work alike in training and in play, found BatchNorm1d"),

@@ -417,6 +417,78 @@ class Changed(PaperObservation):
         out += 1
 
 
+class SeesOnly(PaperObservation):
+    def see(self, game: Any, n: int) -> Any:
+        return super().see(game, n) * 0 + 7
+
+
+class PaysOnly(PaperReward):
+    def pay(self, *_: Any) -> float:
+        return 42.0
+
+
+def test_a_subclass_that_changes_the_plain_form_is_seen_by_it_or_refused() -> None:
+    env = global_routing_v0.parallel_env(observation=SeesOnly(), reward=PaysOnly())
+    observations, _ = env.reset()
+    assert all((seen == 7).all() for seen in observations.values())
+    observations, rewards, *_ = env.step(dict.fromkeys(env.agents, 0))
+    assert all((seen == 7).all() for seen in observations.values())
+    assert set(rewards.values()) == {42.0}
+    problems = marouting.generate(1)
+    for options, form in (
+        ({"observation": SeesOnly()}, "see of its own and inherits write"),
+        ({"reward": PaysOnly()}, "pay of its own and inherits __call__"),
+    ):
+        with pytest.raises(InputError, match=f"which has a {form}"):
+            BatchEnv(problems, **options)
+
+
+class OneHot:
+    """Writes a single number of each row."""
+
+    def space(self, problems: Any, _overflow: bool) -> Box:
+        return Box(0, 1, (problems[0].grid[0],), np.float32)
+
+    def write(self, games: Games, problems: Any, agents: Any, out: Any) -> None:
+        x = games.agents["cell"][problems, agents] // (games.grid.shape[1] * games.grid.shape[2])
+        out[np.arange(len(out)), x] = 1
+
+
+def test_rows_are_zero_before_they_are_written() -> None:
+    env = BatchEnv(marouting.generate(2), observation=OneHot(), max_steps=3)
+    obs, info = env.reset()
+    rng = np.random.default_rng(0)
+    for _ in range(12):
+        mask = info["action_mask"]
+        obs, *_, info = env.step((mask * rng.random(mask.shape)).argmax(-1))
+        assert (obs.sum(-1) == 1).all()
+        ended = info["task_ended"] != 0
+        assert (info["final_obs"][ended].sum(-1) == 1).all()
+
+
+class Wrong:
+    def __init__(self, paid: Any) -> None:
+        self.paid = paid
+
+    def __call__(self, *_: Any) -> Any:
+        return self.paid
+
+
+@pytest.mark.parametrize("paid", [-1.0, np.zeros(1), None, {"net_0": 1.0}])
+@pytest.mark.parametrize("mixed", [False, True])
+def test_rewards_of_another_shape_are_refused_alone_and_in_mixtures(paid: Any, mixed: bool) -> None:
+    own: Any = Wrong(paid)
+    if mixed:
+        plain = None if isinstance(paid, dict) else 0.0
+        told = [0.0] if isinstance(paid, np.ndarray) else plain
+        parts = [{"kind": "paper"}, {"kind": "test_pieces:Wrong", "paid": told}]
+        own = {"kind": "mixed", "parts": parts}
+    env = BatchEnv(marouting.generate(1, nets=10), reward=own)
+    env.reset()
+    with pytest.raises(InputError, match=r"^reward: expected shape \(1, 10\), found .* from Wrong"):
+        env.step(np.zeros((1, 10), int))
+
+
 def test_a_subclass_that_changes_one_form_is_seen_by_that_form() -> None:
     problem = marouting.generate(1, nets=4, seed=1, reduced_edges=0)[0]
     changed, paper = (

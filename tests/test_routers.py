@@ -3,6 +3,7 @@
 import gc
 import itertools
 import json
+import pickle
 import subprocess
 import sys
 from collections.abc import Callable
@@ -510,3 +511,16 @@ def test_what_is_no_solution_is_refused() -> None:
     error = "Nothing: expected a marouting.Solution from route, found None"
     with pytest.raises(InputError, match=error):
         solve(Nothing(), generate(1)[0])
+
+
+def test_a_solution_of_another_problem_is_refused() -> None:
+    asked, other = generate(2, (4, 4, 2), nets=4, reduced_edges=0)
+
+    class Other:
+        def route(self, _: Problem) -> Solution:
+            return sequential_astar(other)
+
+    with pytest.raises(InputError, match=r"Other: expected a solution of the problem given, found"):
+        solve(Other(), asked)
+    copied = pickle.loads(pickle.dumps(asked))
+    assert solve(AStarRouter(), copied)[0].problem == asked

@@ -27,7 +27,7 @@ except ImportError:  # pragma: no cover - the command line needs the extra
     sys.exit("marouting: the command line needs more packages: pip install 'marouting[learn]'")
 
 from marouting import InputError, ProblemFile, Solution, __version__, evaluate
-from marouting.config import check, override, read_yaml
+from marouting.config import check, code_named, override, read_yaml
 from marouting.files import (
     check_apart,
     check_suffix,
@@ -285,6 +285,10 @@ def route(
             options = override({} if config is None else read_yaml(config), overrides)
             where = f"--router {router}" if config is None else str(config)
             solver = make_router(router, options, where)
+            what = (
+                f"one with a method route, found {router}, which plays scenarios of policies only"
+            )
+            check("--router", hasattr(solver, "route"), what)
             save = None if out is None else lambda best: _finished(best, prune).write(out)
             held = stack.enter_context(waiting(router, solver, save))
         warm_up(solver)
@@ -353,7 +357,7 @@ def _report(
         disconnected = cost.pop("open")
         fields |= {f"ispd2024_{name}": value for name, value in cost.items()}
     if as_json:
-        click.echo(json.dumps({**fields, "open_nets": disconnected}))
+        click.echo(as_text({**fields, "open_nets": disconnected}))
         return
     width = max(map(len, fields))
     for name, value in fields.items():
@@ -523,7 +527,8 @@ def train(
         if standing:
             folder = shlex.quote(str(run.folder))
             command = f"marouting benchmark --scenario {settings.env.scenario} --router {folder}"
-            click.echo(f"next: {command}")
+            code = " --allow-code" if any(code_named(settings)) else ""
+            click.echo(f"next: {command}{code}")
         if not run.updates:
             click.echo("nothing was learned: the training ended before its first update", err=True)
 

@@ -103,4 +103,4 @@ def tell(as_json: bool, text: str, **values: Any) -> None:
 
 def as_text(values: Mapping[str, Any]) -> str:
     """A JSON object in one line, with paths as text."""
-    return json.dumps(values, default=str)
+    return json.dumps(values, default=lambda v: v.tolist() if hasattr(v, "tolist") else str(v))

@@ -1,8 +1,8 @@
 """A part of an experiment's work, which one process can do, and the processes that do parts."""
 
 import hashlib
+import importlib.util
 import json
-import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -12,6 +12,7 @@ from typing import Any, cast
 from marouting import InputError, Problem, Solution
 from marouting.config import allowing_code_of, build, code_named
 from marouting.files import exists, is_dir, is_file, naming, suffix_of, write_text
+from marouting.registry import lookup
 from policies.engines import Call, EngineName, opened
 from policies.experiment.config import (
     PARTS,
@@ -95,10 +96,19 @@ class Part:
         Folders count only under the key ``folder``. A class stands for the file that it is in.
         """
         files = {name: Path(name) for name in _files_named(self.options)}
-        for _, name in code_named({"router": self.entry.router, **self.options}):
-            module = sys.modules[name.partition(":")[0]]
-            if not name.startswith(("marouting.", "policies.")) and module.__file__ is not None:
-                files[name] = Path(module.__file__)
+        kind, policy = self.entry.router, self.options.get("checkpoint")
+        cls = lookup("learner" if is_learner(kind) else "router", kind)
+        named = [f"{cls.__module__}:{cls.__qualname__}"]
+        named += [name for _, name in code_named(dict(self.options))]
+        if is_learner(kind) and policy is not None and is_file(policy):
+            from policies.learned.checkpoint import read_checkpoint  # torch: only if needed
+
+            state = read_checkpoint(policy, training=False)
+            named += [name for _, name in code_named({k: state[k] for k in ("env", "learner")})]
+        for name in named:
+            if not name.startswith(("marouting.", "policies.")):
+                source = _source_of(name.partition(":")[0])
+                files |= {} if source is None else {name: source}
         return {name: _digest(path) for name, path in sorted(files.items()) if exists(path)}
 
     @property
@@ -294,6 +304,15 @@ def _files_named(options: Mapping[str, Any]) -> Iterator[str]:
             yield from _files_named(value)
         elif isinstance(value, str) and (is_file(value) or (key == "folder" and is_dir(value))):
             yield value
+
+
+def _source_of(module: str) -> Path | None:
+    """The file of a module; None if there is none."""
+    try:
+        spec = importlib.util.find_spec(module)
+    except (ImportError, ValueError):  # of scripts
+        return None
+    return Path(spec.origin) if spec is not None and spec.origin else None
 
 
 def _digest(path: Path) -> str:

@@ -185,7 +185,8 @@ def config_of(raw: Mapping[str, Any], where: str = "") -> Config:
     if not all(isinstance(part, Mapping) for part in (env, train, learner)):
         return build(Config, raw, where)  # which refuses it
     kind = learner.get("kind", names("learner")[0])
-    cls = lookup("learner", kind) if kind in names("learner") else None
+    known = isinstance(kind, str) and (kind in names("learner") or ":" in kind)
+    cls = lookup("learner", kind, "learner.kind") if known else None
     agents = getattr(cls, "agents", None)
     env = with_suggestions(env if agents is None else {"agents": agents, **env})
     if _endless(env):

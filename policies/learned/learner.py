@@ -293,6 +293,15 @@ def new_network(options: Any, sees: tuple[int, ...], outputs: int) -> nn.Module:
         for (name, buffer), other in zip(module.named_buffers(), twin.buffers(), strict=True):
             what = f"buffers without random numbers, found {name}; make it a parameter"
             check("learner.network", torch.equal(buffer, other), what)
+    what = f"one from (B, {', '.join(map(str, sees))}) to (B, {outputs})"
+    try:
+        with torch.no_grad():
+            shape = getattr(module(torch.zeros(2, *sees)), "shape", None)
+    except Exception as error:  # whatever a user's network raises
+        raise InputError(f"learner.network: expected {what}: {error}") from error
+    check(
+        "learner.network", shape == (2, outputs), f"{what}, found {shape and (*shape,)} for B = 2"
+    )
     return module
 
 

@@ -131,6 +131,8 @@ class SavedNetworks:
         env = plain(self._config.env)
         for name in PLAYED:
             del env[name]
+        why = "finite weights, found others: see the observations, or lower learner.learning_rate"
+        check("learner.network", all(bool(row.isfinite().all()) for row in self.flat), why)
         return {
             "format": POLICY_FORMAT,
             "names": list(self._names),

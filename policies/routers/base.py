@@ -121,4 +121,7 @@ def solve(router: Router, problem: Problem) -> tuple[Solution, dict[str, Any]]:
     if not isinstance(solution, Solution):
         name = f"{type(router).__module__}:{type(router).__name__}"
         raise InputError(f"{name}: expected a marouting.Solution from route, found {solution!r}")
+    if solution.problem is not problem and solution.problem != problem:
+        name = f"{type(router).__module__}:{type(router).__name__}"
+        raise InputError(f"{name}: expected a solution of the problem given, found one of another")
     return solution, {} if routed is None else routed.report

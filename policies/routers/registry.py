@@ -67,7 +67,7 @@ def is_learner(name: str, where: str = "router") -> bool:
     if not any(hasattr(cls, method) for method in ("route", "moves", "start")):
         expected = "a class with a method route or moves, or a learner"
         raise InputError(f"{where}: {name}: expected {expected}")
-    return hasattr(cls, "start") and not hasattr(cls, "route")
+    return hasattr(cls, "start") and not (hasattr(cls, "route") or hasattr(cls, "moves"))
 
 
 def has_seed(name: str) -> bool:
