@@ -222,13 +222,13 @@ def test_own_policies_are_rows(capsys: pytest.CaptureFixture[str]) -> None:
 def test_rows_of_what_has_changed_since_are_refused(
     here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (here / "mine.py").write_text(OWN)
+    (here / "changing_policy.py").write_text(OWN)
     (here / "kept").mkdir()
-    files = [here / name for name in ("mine.py", "weights.txt", "kept/weights.txt")]
+    files = [here / name for name in ("changing_policy.py", "weights.txt", "kept/weights.txt")]
     for file in files[1:]:
         file.write_text("1")
-    words = "--router", "mine:Loads file=weights.txt folder=kept", "--name", "loads"
-    for file, named in zip(files, ("mine:Loads", "weights.txt", "kept"), strict=True):
+    words = "--router", "changing_policy:Loads file=weights.txt folder=kept", "--name", "loads"
+    for file, named in zip(files, ("changing_policy:Loads", "weights.txt", "kept"), strict=True):
         out = f"changed-{file.parent.name}-{file.stem}"
         assert status(benchmark(*words, out=out)) == 0
         before = file.read_text()

@@ -355,7 +355,7 @@ def test_pettingzoo_accepts_rounds(choose: str, more: dict[str, Any]) -> None:
 
 def test_only_the_generalist_negotiates() -> None:
     said = r"rip_up_\w+: unknown key; .*only the generalist negotiates by prices"
-    for name in ("prices", "patience", "present_factor", "step_decay"):
+    for name in ("prices", "patience", "present", "calm"):
         option: dict[str, Any] = {f"rip_up_{name}": 1}
         for make in (game.env, game.parallel_env, GlobalRoutingSingle):
             with pytest.raises(TypeError, match=said):
