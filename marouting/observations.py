@@ -38,7 +38,7 @@ from marouting.game import NOBODY, Game
 from marouting.problem.grid import AXES, MOVES, OFF_GRID, VIA_AXIS, Grid, Rows
 from marouting.problem.net import is_whole
 from marouting.problem.problem import Problem
-from marouting.registry import register
+from marouting.registry import is_ours, register
 
 
 class Observation(Protocol):
@@ -334,25 +334,22 @@ def _has_state(observation: Observation) -> bool:
     return all(callable(getattr(observation, name, None)) for name in ("state", "state_space"))
 
 
-def has_form(piece: object, plain: str, columns: str) -> bool:
-    """Whether a piece has ``plain``, and no class nearer to its own overrides only ``columns``."""
-    for cls in type(piece).__mro__:
-        if plain in vars(cls):
-            return True
-        if columns in vars(cls):
-            return False
-    return False
+def has_form(piece: object, form: str, other: str) -> bool:
+    """Whether a component is to be used by one of two methods that say the same.
 
-
-def has_columns(piece: object, columns: str, plain: str) -> bool:
-    """Whether a piece has ``columns``, and no class of a user's overrides only ``plain``."""
-    if columns in getattr(piece, "__dict__", {}):
+    Args:
+        piece: an observation or a reward.
+        form: the method in question, such as ``write``.
+        other: its other form, such as ``see``. If a class of a user's overrides that alone, the
+            inherited ``form`` says something else; in the package both always agree.
+    """
+    if form in getattr(piece, "__dict__", {}):
         return True
     for cls in type(piece).__mro__:
-        if columns in vars(cls):
+        if form in vars(cls):
             return True
-        if plain in vars(cls) and not cls.__module__.startswith(("marouting.", "policies.")):
-            return False  # in the package both agree
+        if other in vars(cls) and not is_ours(cls.__module__):
+            return False
     return False
 
 

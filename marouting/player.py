@@ -54,7 +54,7 @@ from marouting.memory import check_memory
 from marouting.observations import (
     Observation,
     PaperObservation,
-    has_columns,
+    has_form,
     has_move_order,
     move_order_of,
     space_of,
@@ -62,6 +62,7 @@ from marouting.observations import (
 )
 from marouting.options import FORMS
 from marouting.problem.grid import MOVES
+from marouting.registry import is_ours
 from marouting.rewards import Prices, Reward, Share, paid_by, prices_of
 from marouting.source import ProblemSampler
 
@@ -228,14 +229,14 @@ class Player:
         for name, piece in (("observation", observation), ("reward", reward)):
             columns, plain = FORMS[name][:2]
             what = f"an object with {columns}, which all but AEC, Parallel and gymnasium.make need"
-            found = f"found {type(piece).__name__}"
-            if hasattr(piece, columns) and not has_columns(piece, columns, plain):
+            fits, found = has_form(piece, columns, plain), f"found {type(piece).__name__}"
+            if hasattr(piece, columns) and not fits:
                 found += f", which has a {plain} of its own and inherits {columns}"
-            check(name, has_columns(piece, columns, plain), f"{what}, {found}")
+            check(name, fits, f"{what}, {found}")
         self.engine, self.observation, self.reward = engine, observation, reward
         self.turned = turned and has_move_order(observation)
         # Those of the package write every number.
-        self._clears = not type(observation).__module__.startswith(("marouting.", "policies."))
+        self._clears = not is_ours(type(observation).__module__)
         self.everyone, self.draws = everyone, draws
         problems, agents = engine.nets.shape
         if buffers is None:

@@ -20,6 +20,7 @@ import contextlib
 import functools
 import importlib
 import os
+import re
 import sys
 from collections.abc import Iterable, Iterator
 from contextvars import ContextVar
@@ -199,6 +200,11 @@ def imported(path: str, prefix: str = "") -> Any:
         sys.path.append(folder)
         register_environments()  # which the user's code may make by name
     return _imported(path, prefix)
+
+
+def is_ours(module: str) -> bool:
+    """Whether a module, or ``module:Name``, is of this project, and not of a user."""
+    return re.split("[.:]", module)[0] in ("marouting", "policies")
 
 
 def _imported(path: str, prefix: str) -> Any:

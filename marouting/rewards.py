@@ -46,7 +46,7 @@ from marouting.columns import Before, Games
 from marouting.config import check, of_key, piece
 from marouting.errors import InputError
 from marouting.game import NOBODY, Crossing, Ending, Game
-from marouting.observations import has_columns
+from marouting.observations import has_form
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.registry import register
 
@@ -327,7 +327,7 @@ class MixedReward:
             check(key, fits, f"{-_MOST_WEIGHT:g} to {_MOST_WEIGHT:g}, found {weight!r}")
             reward = piece("reward", options, where=f"parts.{number}").make()
             what = f"a reward that has __call__, not pay alone, found {type(reward).__name__}"
-            check(f"parts.{number}", has_columns(reward, "__call__", "pay"), what)
+            check(f"parts.{number}", has_form(reward, "__call__", "pay"), what)
             made.append((float(weight), reward))
         return made
 

@@ -107,6 +107,7 @@ class BatchEnv(EzPickle):
     """
 
     _draws_of: ClassVar[type[ProblemSampler]] = ProblemSampler
+    _identity: tuple[Any, ...]
 
     def __new__(cls, *problems: Any, **options: Any) -> "BatchEnv":
         """Makes a :class:`marouting.cuda.env.CudaBatchEnv` for another device."""
@@ -179,15 +180,7 @@ class BatchEnv(EzPickle):
         ]
         played = episodes.identity if episodes else (*engine.problems,)
         shape = self._buffers.obs.shape
-        self._identity: tuple[Any, ...] = (
-            kind,
-            everyone,
-            self._persists,
-            checked.rules,
-            shape,
-            cuts,
-            played,
-        )
+        self._identity = (kind, everyone, self._persists, checked.rules, shape, cuts, played)
         self._begun = False
         self._start_threads()
 

@@ -443,6 +443,37 @@ def test_a_subclass_that_changes_the_plain_form_is_seen_by_it_or_refused() -> No
             BatchEnv(problems, **options)
 
 
+class SeesState:
+    """Keeps the state of the game after every move."""
+
+    def __init__(self) -> None:
+        self.seen: list[NDArray[np.float32]] = []
+
+    def __call__(self, games: Games, *_: Any) -> NDArray[np.float64]:
+        self.seen.append(games.state().copy())
+        return np.zeros(games.nets.shape)
+
+
+def test_rewards_see_the_same_state_in_the_plain_game_and_the_batch() -> None:
+    """Also after the first nets of a round are done."""
+    problem = marouting.generate(1, (4, 4, 2), nets=5, capacity=2, reduced_edges=0, seed=3)[0]
+    plain, batch = SeesState(), SeesState()
+    env = global_routing_v0.parallel_env(problem, reward=plain, max_steps=12, agents_persist=True)
+    many = BatchEnv([problem], reward=batch, max_steps=12, play_once=True)
+    rng = np.random.default_rng(0)
+    env.reset()
+    _, info = many.reset()
+    names = env.possible_agents
+    while info["active"].any():
+        mask = info["action_mask"][0]
+        moves = (mask * rng.random(mask.shape)).argmax(-1)
+        env.step(dict(zip(names, moves.tolist(), strict=True)))
+        *_, info = many.step(moves[None])
+    assert len(plain.seen) == len(batch.seen) > 20
+    for one, other in zip(plain.seen, batch.seen, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
 class OneHot:
     """Writes a single number of each row."""
 

@@ -7,12 +7,12 @@ them an edge inside a layer costs a net
     (1 + price) · (1 + present · over / demand),
 
 where ``price`` grows with the edge's past overflow; ``over`` is the overflow that the net would
-cause, in tracks; and ``present`` begins with the option's value and grows from one priced round to
+cause, in tracks; and ``present`` begins with ``present_factor`` and grows from one priced round to
 the next. So overflow is cheap at first, and nets with alternatives of nearly the same length leave
 contested edges first. What overflow adds to a price grows along with ``present``, up to a limit. A
 via costs 1. An edge that can never hold the net costs the maximum.
 
-When priced rounds follow plain ones, ``present`` begins with the option's value again but grows
+When priced rounds follow plain ones, ``present`` begins with ``present_factor`` again but grows
 more slowly, and prices are lowered. With ``step_decay``, once there are routes without overflow,
 prices change by less each time. Such diminishing steps are usual in
 subgradient methods (Held, Wolfe and Crowder, "Validation of subgradient optimization", Mathematical
@@ -148,7 +148,7 @@ def _calmed(static: Static, dynamic: Dynamic, m: int, step: int) -> int:
     game = dynamic.games[m]
     if game.best_overflow > 0:
         return i64(step)  # prices that rest would never part the nets that still overflow
-    return 100 * step // (100 + static.options[Option.CALM] * i64(game.negotiations))
+    return 100 * step // (100 + static.options[Option.STEP_DECAY] * i64(game.negotiations))
 
 
 @compiled

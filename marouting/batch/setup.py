@@ -182,7 +182,7 @@ def _options(
     options[Option.AGAIN_MOST] = again
     options[Option.PATIENCE] = negotiation.patience
     options[Option.PRESENT] = round(negotiation.present_factor * WHOLE)
-    options[Option.CALM] = round(negotiation.step_decay * 100)
+    options[Option.STEP_DECAY] = round(negotiation.step_decay * 100)
     options[Option.MOVES] = rules.moves
     options[Option.WAIT] = rules.wait
     rows = {

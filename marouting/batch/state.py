@@ -98,7 +98,7 @@ class Option(enum.IntEnum):
     AGAIN_MOST = 6  #: P, the most nets that are rerouted at a time
     PATIENCE = 7  #: rounds after which one more net is rerouted at a time; 0: P from the first
     PRESENT = 8  #: GAME.present in the first walk
-    CALM = 9  #: how soon prices come to rest, in per cent
+    STEP_DECAY = 9  #: how fast price changes shrink, in per cent
     TREE = 10  #: N sets of Gcells that edges join to the first pin
     VISITED = 11  #: N sets of Gcells visited in the present task
     TAKEN = 12  #: N sets of edges newly used in the present task

@@ -16,7 +16,6 @@ from marouting.columns import Columns
 from marouting.game import ACTIVE, NOBODY, Game, mask_table
 from marouting.memory import PLAYED, STATE, TABLES, check_memory
 from marouting.observations import (
-    has_columns,
     has_form,
     seen_by,
     space_of,
@@ -187,7 +186,7 @@ class GameEnv(EzPickle):
 
     def _see_all(self, agents: Sequence[int]) -> NDArray[np.float32]:
         """(K, *S) new observations of many agents, or NOBODY."""
-        if not has_columns(self._observation, "write", "see"):
+        if not has_form(self._observation, "write", "see"):
             return np.array([self._see(agent) for agent in agents], np.float32)
         out = np.zeros((len(agents), *self._box.shape), np.float32)
         rows = np.zeros(len(agents), np.int32), np.array(agents, np.int32)

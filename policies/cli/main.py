@@ -48,6 +48,7 @@ from policies.cli.options import (
     FILE,
     allow_code_option,
     as_text,
+    file_apart,
     json_option,
     options_of,
     overrides_argument,
@@ -449,8 +450,7 @@ def config_command(
     """
     from policies.cli.resolved import resolve, schema_of, text_of
 
-    if config is not None and "=" in str(config) and not exists(config):
-        config, overrides = None, (str(config), *overrides)
+    config, overrides = file_apart(config, overrides)
     if schema is not None:
         if config is not None or overrides:
             raise InputError("--schema: expected no configuration beside it")
@@ -494,8 +494,7 @@ def train(
     from policies.learned.run import FALLING, Run
     from policies.results.run_folder import CHECKPOINT
 
-    if config is not None and "=" in str(config) and not exists(config):
-        config, overrides = None, (str(config), *overrides)
+    config, overrides = file_apart(config, overrides)
     if resume is not None and not exists(resume / "config.yaml"):
         raise InputError(f"--resume {resume}: expected a run folder, with a config.yaml in it")
     if config is not None:

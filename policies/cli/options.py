@@ -15,6 +15,7 @@ from typing import Any, Literal, get_args, get_origin
 import click
 
 from marouting.config import attributes, hints_of
+from marouting.files import exists
 from marouting.registry import allowing_code
 from policies.cli.completion import Complete
 
@@ -94,6 +95,15 @@ def allow_code_option(command: Callable[..., None]) -> Callable[..., None]:
 def overrides_argument(complete: Complete) -> Callable[[Any], Any]:
     """The argument KEY=VALUE of a command, and what shells complete of it."""
     return click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...", shell_complete=complete)
+
+
+def file_apart(
+    config: Path | None, overrides: tuple[str, ...]
+) -> tuple[Path | None, tuple[str, ...]]:
+    """A file and its keys, where the file may have been left out and a key stands in its place."""
+    if config is not None and "=" in str(config) and not exists(config):
+        return None, (str(config), *overrides)
+    return config, overrides
 
 
 def tell(as_json: bool, text: str, **values: Any) -> None:

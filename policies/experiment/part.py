@@ -12,7 +12,7 @@ from typing import Any, cast
 from marouting import InputError, Problem, Solution
 from marouting.config import allowing_code_of, build, code_named
 from marouting.files import exists, is_dir, is_file, naming, suffix_of, write_text
-from marouting.registry import lookup
+from marouting.registry import is_ours, lookup
 from policies.engines import Call, EngineName, opened
 from policies.experiment.config import (
     PARTS,
@@ -106,9 +106,9 @@ class Part:
             state = read_checkpoint(policy, training=False)
             named += [name for _, name in code_named({k: state[k] for k in ("env", "learner")})]
         for name in named:
-            if not name.startswith(("marouting.", "policies.")):
-                source = _source_of(name.partition(":")[0])
-                files |= {} if source is None else {name: source}
+            source = None if is_ours(name) else _source_of(name.partition(":")[0])
+            if source is not None:
+                files[name] = source
         return {name: _digest(path) for name, path in sorted(files.items()) if exists(path)}
 
     @property

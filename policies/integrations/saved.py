@@ -32,12 +32,12 @@ class Training:
             del self.options[name]
         self.agent_steps = 0
         self._began = time.process_time()
-        self._before: Mapping[str, Any] | None = None
+        self._continues = False
 
     def continues(self, before: Mapping[str, Any]) -> None:
         """Adds what an earlier training took, unless that has been told before."""
-        if self._before is None:
-            self._before = before
+        if not self._continues:
+            self._continues = True
             self.agent_steps += before.get("agent_steps", 0)
             self._began -= before.get("processor_seconds", 0.0)
 
