@@ -575,10 +575,31 @@ def under(key: str, error: InputError) -> InputError:
 @functools.cache
 def hints_of(kind: Any) -> dict[str, Any]:
     """The types of the fields that a dataclass or a TypedDict is made with."""
-    hints = get_type_hints(kind, include_extras=True)
-    if is_dataclass(kind):
-        return {field.name: hints[field.name] for field in fields(kind) if field.init}
-    return hints
+    hints = _type_hints(kind)
+    return (
+        {f.name: hints.get(f.name, Any) for f in made_with(kind)} if is_dataclass(kind) else hints
+    )
+
+
+def _type_hints(annotated: Any) -> dict[str, Any]:
+    """Its types by name; none if it names types that exist for type checkers only."""
+    try:
+        return get_type_hints(annotated, include_extras=True)
+    except NameError:
+        return {}
+
+
+def made_with(schema: Any) -> list[dataclasses.Field[Any]]:
+    """The fields that a dataclass is made with."""
+    return [f for f in fields(schema) if f.init]
+
+
+def _is_schema(cls: type[Any]) -> bool:
+    """Whether a class is a dataclass that is made with its fields and nothing else."""
+    if not is_dataclass(cls):
+        return False
+    # A plain subclass of one may have a constructor; an InitVar is no field.
+    return set(inspect.signature(cls).parameters) == {f.name for f in made_with(cls)}
 
 
 def attributes(kind: type[Any]) -> dict[str, str]:
@@ -667,7 +688,7 @@ def piece(kind: str, raw: Any, default: str | None = None, where: str = "") -> C
         raise under(where, InputError(f"kind: expected a name, found {name!r}"))
     cls = lookup(kind, name, where)
     schema, varied = _options_of(kind, cast(Any, cls))
-    known = [f.name for f in fields(schema)]
+    known = [f.name for f in made_with(schema)]
     others = {key: plainly.pop(key) for key in list(plainly) if varied and key not in known}
     try:
         for key in plainly:
@@ -687,21 +708,21 @@ _KEYWORDS = "Keywords"
 @functools.cache
 def _options_of(kind: str, cls: type[Any]) -> tuple[type[Any], bool]:
     """The dataclass of a class's options, and whether the class accepts other options too."""
-    if "__dataclass_fields__" in vars(cls):  # a plain subclass of one may have a constructor
+    if _is_schema(cls):
         return cls, False
     options = getattr(cls, "Options", None)
     if isinstance(options, type) and is_dataclass(options):
         return options, False
     try:
         parameters = list(inspect.signature(cls).parameters.values())
-        hints = get_type_hints(cls.__init__, include_extras=True)
-    except (TypeError, ValueError, NameError):
+    except (TypeError, ValueError):
         return dataclasses.make_dataclass(_KEYWORDS, []), True
-    declared: list[Any] = []
+    hints, declared = _type_hints(cls.__init__), list[Any]()
     for parameter in parameters[_CONTEXT.get(kind, 0) :]:
         if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
             continue
         hint = hints.get(parameter.name, Any)
+        hint = hint.type if isinstance(hint, dataclasses.InitVar) else hint
         if parameter.default is parameter.empty:
             declared.append((parameter.name, hint))
         else:
@@ -723,14 +744,14 @@ def plain(value: Any) -> Any:
     """
     if isinstance(value, Component):
         options = value.options
-        if value.given and not is_dataclass(options):
+        if value.given and not _is_schema(value.cls):
             raise InputError(
                 f"{value.kind}: expected a name or module:Class with its options, which can be "
                 f"written to a file; found an object of {value.name}"
             )
         return {"kind": value.name, **plain(options)}
     if is_dataclass(value) and not isinstance(value, type):
-        return {f.name: plain(getattr(value, f.name)) for f in fields(value)}
+        return {f.name: plain(getattr(value, f.name)) for f in made_with(value)}
     if isinstance(value, Mapping):
         return {key: plain(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):

@@ -266,7 +266,7 @@ def _bits(moves: NDArray[np.integer]) -> NDArray[np.int64]:
 def space_of(observation: Observation, problems: Sequence[Problem], overflow: bool) -> Box:
     """The space of what one agent sees; raises InputError if it is not a Box of float32."""
     space = observation.space(problems, overflow)
-    fits = isinstance(space, Box) and space.dtype == np.float32
+    fits = isinstance(space, Box) and space.dtype == np.float32 and 0 not in space.shape
     named = f"{type(observation).__name__}.space"
     check("observation", fits, f"a Box of float32 from {named}, found {space!r}")
     return space
@@ -322,11 +322,20 @@ def state_space_of(observation: Observation, problems: Sequence[Problem], overfl
 def state_of(
     observation: Observation, games: Games, out: NDArray[np.float32] | None = None
 ) -> NDArray[np.float32]:
-    """The global states (M, …) that go with an observation: its own, or those of the games."""
+    """The global states (M, …) that go with an observation: its own, or those of the games.
+
+    Raises:
+        InputError: its own are not of the shape that its ``state_space`` says.
+    """
+    if not _has_state(observation):
+        return games.state(out)
     own: Any = observation
-    states: NDArray[np.float32] = (
-        own.state(games, out) if _has_state(observation) else games.state(out)
-    )
+    states: NDArray[np.float32] = own.state(games, out)
+    space = state_space_of(observation, games.problems, games.overflow_allowed)
+    expected, found = (len(games.problems), *space.shape), getattr(states, "shape", None)
+    named = type(observation).__name__
+    what = f"{named}.state to return an array of shape {expected}, as {named}.state_space says"
+    check("observation", found == expected, f"{what}, found {found}")
     return states
 
 
@@ -334,21 +343,21 @@ def _has_state(observation: Observation) -> bool:
     return all(callable(getattr(observation, name, None)) for name in ("state", "state_space"))
 
 
-def has_form(piece: object, form: str, other: str) -> bool:
-    """Whether a component is to be used by one of two methods that say the same.
+def has_form(piece: object, form: str, *others: str) -> bool:
+    """Whether a component is to be used by one of several methods that say the same.
 
     Args:
         piece: an observation or a reward.
         form: the method in question, such as ``write``.
-        other: its other form, such as ``see``. If a class of a user's overrides that alone, the
-            inherited ``form`` says something else; in the package both always agree.
+        others: its other forms, such as ``see``. If a class of a user's overrides one of them
+            alone, the inherited ``form`` says something else; in the package all always agree.
     """
     if form in getattr(piece, "__dict__", {}):
         return True
     for cls in type(piece).__mro__:
         if form in vars(cls):
             return True
-        if other in vars(cls) and not is_ours(cls.__module__):
+        if not (is_ours(cls.__module__) or vars(cls).keys().isdisjoint(others)):
             return False
     return False
 

@@ -265,9 +265,34 @@ class Narrow(Scaled):
         super().__init__((obs_shape[0] + 1,), outputs)
 
 
+class Frozen(Scaled):
+    def __init__(self, obs_shape: tuple[int, ...], outputs: int) -> None:
+        super().__init__(obs_shape, outputs)
+        self.inner[0].requires_grad_(False)
+
+
+class Tied(Scaled):
+    def __init__(self, obs_shape: tuple[int, ...], outputs: int) -> None:
+        super().__init__(obs_shape, outputs)
+        self.again = self.inner[0]
+
+
+class Fixed(nn.Module):
+    def __init__(self, obs_shape: tuple[int, ...], outputs: int) -> None:
+        del obs_shape
+        super().__init__()
+        self.outputs = outputs
+
+    def forward(self, obs: torch.Tensor) -> torch.Tensor:
+        return obs.new_zeros(len(obs), self.outputs)
+
+
 @pytest.mark.parametrize(
     ("network", "expected"),
     [
+        (Frozen, r"expected parameters that are all trained, found inner\.0\.weight, which is not"),
+        (Tied, r"expected no parameters that layers share, found again\.weight"),
+        (Fixed, "expected parameters to train, found none"),
         (Wide, rf"expected one from \(B, {FEATURES}\) to \(B, {MOVES}\), found \(2, 7\) for B = 2"),
         (Pairs, rf"expected one from \(B, {FEATURES}\) to \(B, {MOVES}\), found None for B = 2"),
         (Narrow, rf"expected one from \(B, {FEATURES}\) to \(B, {MOVES}\): "),

@@ -7,6 +7,7 @@ in the batch, and everything that agents see and get is compared. Pieces by name
 
 import math
 from collections.abc import Callable
+from dataclasses import InitVar, dataclass, field
 from typing import Any
 
 import gymnasium
@@ -32,11 +33,12 @@ from marouting import (
 )
 from marouting.batch.state import Dynamic
 from marouting.columns import Before, Games
-from marouting.config import plain
+from marouting.config import piece, plain
 from marouting.env.single import GlobalRoutingSingle
 from marouting.game import NOBODY, Ending, Game
 from marouting.options import GameOptions
 from marouting.player import Player
+from marouting.rewards import Prices
 from marouting.vector import BatchEnv
 
 HERE = __name__
@@ -388,7 +390,10 @@ def test_what_an_observation_shows_is_float32_of_its_shape(make: Callable[..., A
             env.reset() if make is global_routing_v0.parallel_env else (env.reset(), env.last())
 
 
-@pytest.mark.parametrize("space", [Box(0, 255, (2,), np.uint8), Discrete(3), None, (0, 1)])
+@pytest.mark.parametrize(
+    "space",
+    [Box(0, 255, (2,), np.uint8), Box(0, 1, (0,), np.float32), Discrete(3), None, (0, 1)],
+)
 def test_spaces_are_boxes_of_float32(space: Any) -> None:
     own = seen_as(space, lambda: None)
     own.write = lambda *_: None
@@ -595,12 +600,97 @@ def test_pieces_that_cannot_be_had(options: dict[str, Any], message: str) -> Non
     assert message in str(caught.value)
 
 
+@dataclass(frozen=True)
+class Halved(PaperReward):
+    """A dataclass whose constructor takes more than its fields, and one of whose fields is not."""
+
+    half: InitVar[float] = 1.0
+    made: float = field(init=False, default=3.0)
+
+    def __post_init__(self, half: float) -> None:
+        object.__setattr__(self, "step", -half / 2)
+
+
+class Tenfold(PaperReward):
+    """A plain subclass of a dataclass, with a constructor."""
+
+    def __init__(self, tenth: float = 2) -> None:
+        super().__init__(reached=10 * tenth)
+
+
+@dataclass(frozen=True)
+class Derived(PaperReward):
+    made: float = field(init=False, default=3.0)
+
+
 def test_an_object_without_a_name_cannot_be_written_down() -> None:
     class Own:
         def __call__(self, *_: Any) -> Any: ...
 
-    with pytest.raises(InputError, match="reward: expected a name or module:Class"):
-        plain(GameOptions(reward=Own()))  # type: ignore[arg-type]
+    for own in (Own(), Halved(half=2), Tenfold(3)):
+        with pytest.raises(InputError, match="reward: expected a name or module:Class"):
+            plain(GameOptions(reward=own))  # type: ignore[arg-type]
+    derived = plain(GameOptions(reward=Derived(step=-2)))["reward"]  # type: ignore[arg-type]
+    assert piece("reward", derived).make() == Derived(step=-2)
+
+
+@pytest.mark.parametrize(
+    ("options", "known", "expected"),
+    [
+        ({"kind": f"{HERE}:Halved", "half": 4.0}, "half", -2.0),
+        ({"kind": f"{HERE}:Tenfold", "tenth": 4.0}, "tenth", -1.0),
+        ({"kind": f"{HERE}:Derived", "step": -3.0}, "step", -3.0),
+        ({"kind": f"{HERE}:Unresolved", "step": -4.0}, "step", -4.0),
+    ],
+)
+def test_options_are_what_a_class_is_made_with(
+    options: dict[str, Any], known: str, expected: float
+) -> None:
+    own = piece("reward", options)
+    assert own.make().step == expected
+    written = plain(own)
+    assert written[known] == options[known]
+    assert piece("reward", written).make().step == expected
+    with pytest.raises(InputError, match=r"^mad: unknown key; "):
+        piece("reward", options | {"mad": 1})
+
+
+class Unresolved(PaperReward):
+    """Its types are known to type checkers only."""
+
+    def __init__(self, step: "NowhereButHere" = -1, more: int = 0) -> None:  # type: ignore[name-defined]  # noqa: F821
+        super().__init__(step=step + more)
+
+
+def test_a_paper_reward_with_other_prices_pays_them_everywhere() -> None:
+    class Priced(PaperReward):
+        @property
+        def prices(self) -> Prices:
+            return Prices(np.full((5, 3), 7.0), 0.0, np.zeros((4, 3)))
+
+    env = global_routing_v0.parallel_env(reward=Priced())
+    env.reset(seed=0)
+    rewards = env.step(dict.fromkeys(env.agents, 0))[1]
+    assert set(rewards.values()) == {7.0}
+
+
+def test_states_of_a_users_observation_have_the_shape_of_their_space() -> None:
+    class Stated(PaperObservation):
+        def state_space(self, problems: Any, overflow: bool) -> Box:
+            del problems, overflow
+            return Box(0, 1, (4,), np.float32)
+
+        def state(self, games: Any, out: Any = None) -> NDArray[Any]:
+            del out
+            return np.zeros((len(games.problems), wide), np.float32)
+
+    env = global_routing_v0.parallel_env(observation=Stated())
+    env.reset(seed=0)
+    wide = 4
+    assert env.state_space.contains(env.state())
+    wide = 5
+    with pytest.raises(InputError, match=r"Stated.state to return an array of shape \(1, 4\), "):
+        env.state()
 
 
 def test_kinds_and_names_are_checked() -> None:

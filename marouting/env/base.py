@@ -66,7 +66,7 @@ class GameEnv(EzPickle):
         self._observation = checked.observation.make()
         self._sees_plainly = has_form(self._observation, "see", "write")
         self._reward: Any = checked.reward.make()
-        self._pays_mover = has_form(self._reward, "pay", "__call__")
+        self._pays_mover = has_form(self._reward, "pay", "__call__", "prices")
         if self._pays_mover:
             self._pay_mover = payer_of(self._reward)
         self._team_pay = TeamPay.of(self._reward)

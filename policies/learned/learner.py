@@ -141,7 +141,15 @@ class Learner(PerNetworkState, abc.ABC):
     def _stack(self, purpose: str, sees: tuple[int, ...], outputs: int) -> Stack:
         """Its networks with random weights, by random numbers of their own for a purpose."""
         seeds = self.setup.network_keys(purpose).astype(np.int64).tolist()
-        return Stack(lambda: new_network(self.options, sees, outputs), seeds, self.device)
+        stack = Stack(lambda: new_network(self.options, sees, outputs), seeds, self.device)
+        zeros = torch.zeros(len(seeds), 1, *sees, device=self.device)
+        try:
+            stack.view.gradient(stack.view(zeros).sum(), torch.empty_like(stack.flat))
+        except RuntimeError as error:  # such as of torch.func.vmap about a recurrent layer
+            reason = str(error).splitlines()[0]
+            several = "; train.shared=true needs no torch.func.vmap" if len(seeds) > 1 else ""
+            raise InputError(f"learner.network: it cannot be trained: {reason}{several}") from None
+        return stack
 
     @classmethod
     def masks(cls, options: Any) -> bool:
@@ -278,10 +286,17 @@ def new_network(options: Any, sees: tuple[int, ...], outputs: int) -> nn.Module:
     """A network with random weights, in evaluation mode, in which it also learns.
 
     Raises:
-        InputError: it has layers that work differently in training, or a buffer that is random:
-            trainings save parameters only, and make the buffers again.
+        InputError: it has no parameters, or some that are not trained or that layers share; layers
+            that work differently in training; or a buffer that is random: trainings save parameters
+            only, and make the buffers again.
     """
     module: nn.Module = options.network.make(sees, outputs).eval()
+    own = dict(module.named_parameters())
+    check("learner.network", own, "parameters to train, found none")
+    for name, weight in module.named_parameters(remove_duplicate=False):
+        what = f"parameters that are all trained, found {name}, which is not; make it a buffer"
+        check("learner.network", weight.requires_grad, what)
+        check("learner.network", name in own, f"no parameters that layers share, found {name}")
     for layer in module.modules():
         alike = not isinstance(layer, _DropoutNd | _BatchNorm)
         what = f"layers that work alike in training and in play, found {type(layer).__name__}"
@@ -293,12 +308,13 @@ def new_network(options: Any, sees: tuple[int, ...], outputs: int) -> nn.Module:
         for (name, buffer), other in zip(module.named_buffers(), twin.buffers(), strict=True):
             what = f"buffers without random numbers, found {name}; make it a parameter"
             check("learner.network", torch.equal(buffer, other), what)
-    what = f"one from (B, {', '.join(map(str, sees))}) to (B, {outputs})"
+    what = f"one from ({', '.join(map(str, ('B', *sees)))}) to (B, {outputs})"
     try:
         with torch.no_grad():
             shape = getattr(module(torch.zeros(2, *sees)), "shape", None)
     except Exception as error:  # whatever a user's network raises
-        raise InputError(f"learner.network: expected {what}: {error}") from error
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(f"learner.network: expected {what}: {reason}") from error
     check(
         "learner.network", shape == (2, outputs), f"{what}, found {shape and (*shape,)} for B = 2"
     )
