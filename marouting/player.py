@@ -278,16 +278,13 @@ class Player:
             self._arrived = now._replace(agents=now.agents.copy(), sets=now.sets.copy())
             self._mirror_games()
         if self.compiled:
-            kernel = _play_everyone if self.everyone else _play_player
-            self._step = specialised(kernel, *self._arguments, True, True)
+            self._step = specialised(_play, *self._arguments, True, True)
             return
         nobody, nowhere = np.zeros(len(buffers.over), np.bool_), engine.games["agent"].copy()
         self._settle = specialised(_settle_and_show, *self._arguments, nobody, nowhere, NOT)
         # Problems, agents and rows of those that have arrived.
         self._places = tuple(np.zeros(buffers.agents.size, np.int32) for _ in range(3))
         self._list_arrived = specialised(_list_arrived, *self._arguments, nowhere, *self._places)
-        masks = buffers.final_mask.reshape(-1, engine.actions)
-        self._mask = specialised(_mask_rows, engine.static, engine.dynamic, *self._places, masks)
         if not own_reward:
             self._move = specialised(_move_and_pay, *self._arguments, nobody)
 
@@ -526,10 +523,10 @@ class Player:
         out = np.empty((count, *b.obs.shape[2:]), np.float32)
         self._see(problems, agents, out)
         b.final_obs.reshape(-1, *b.obs.shape[2:])[rows] = out
-        masks = b.final_mask.reshape(-1, engine.actions)
-        self._mask(engine.static, engine.dynamic, problems, agents, rows, masks)
+        masks = engine.masks(problems, agents)
         if self.turned:
-            masks[rows] = np.take_along_axis(masks[rows], self._order_of(out), -1)
+            masks = np.take_along_axis(masks, self._order_of(out), -1)
+        b.final_mask.reshape(-1, engine.actions)[rows] = masks
         if self._before is not None:
             self._swap_arrived(problems, agents)
             engine.games["active"] = active
@@ -597,16 +594,6 @@ def _list_arrived(
                 rows[count] = m * b.agents.shape[1] + row
                 count += 1
     return count
-
-
-@compiled
-def _mask_rows(
-    static: Static, dynamic: Dynamic, problems: Any, agents: Any, rows: Any, out: Any
-) -> None:
-    """Fills rows (K,) of ``out`` with the masks of agents (K,)."""
-    for i in range(len(rows)):
-        free = free_moves(static, dynamic, as_index(problems[i]), as_index(agents[i]))
-        write_moves(static, free, out, as_index(rows[i]))
 
 
 @compiled
@@ -737,44 +724,6 @@ def _finish(b: StepBuffers, m: int, playing: bool, game: Any) -> None:
         b.final[m].steps = game.steps
 
 
-@inlined
-def _show(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int, n: int) -> None:
-    """Writes an agent's status and what it sees now."""
-    status = dynamic.agents[m, n].status
-    b.terminated[m, n] = status == Status.TERMINATED
-    b.truncated[m, n] = status == Status.TRUNCATED
-    b.active[m, n] = status == Status.ACTIVE
-    _look(static, dynamic, fast, m, n, b.obs, b.mask, n)
-
-
-@inlined
-def _step_everyone(
-    static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int
-) -> None:
-    """A step of one problem in which all agents have a row."""
-    game = dynamic.games[m]
-    playing = game.active > 0
-    total = b.total[m]
-    _make_moves(static, dynamic, b, fast, m)
-    for n in range(b.agents.shape[1]):
-        # One loop does everything for an agent while its data is in the cache.
-        agent = dynamic.agents[m, n]
-        if agent.status == Status.ABSENT:
-            continue
-        total += _take_stock(dynamic, b, fast, m, n, n)
-        if agent.ending != Ending.NONE:
-            _look(static, dynamic, fast, m, n, b.final_obs, b.final_mask, n)
-            settle_agent(static, dynamic, m, n)
-        _show(static, dynamic, b, fast, m, n)
-    settle_turns(static, dynamic, m)
-    if static.extended is not None and (game.ripped or game.active == 0):
-        for n in range(b.agents.shape[1]):
-            if dynamic.agents[m, n].status != Status.ABSENT:
-                _show(static, dynamic, b, fast, m, n)
-    b.total[m] = total
-    _finish(b, m, playing, game)
-
-
 # --- any observation ------------------------------------------------------------------------------
 
 
@@ -870,58 +819,31 @@ def _settle_and_show(
 
 
 @inlined
-def _step_player(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
-    """A step of one problem in which only the agent whose turn it is has a row."""
-    mover = i64(dynamic.games[m].agent)
-    move_game(static, dynamic, b, fast, m)
-    passes = dynamic.games[m].active > 1 and not static.sequential
-    if b.ending[m, 0] != Ending.NONE or (b.acted[m, 0] and passes):
-        _look(static, dynamic, fast, m, mover, b.final_obs, b.final_mask, i64(0))
-    settle_game(static, dynamic, b, fast, m, mover, i64(ALL))
-    _look(static, dynamic, fast, m, i64(b.agents[m, 0]), b.obs, b.mask, i64(0))
-
-
-@inlined
 def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
     """A step of one problem, with the paper's observation and a built-in reward."""
-    if fast.everyone:
-        _step_everyone(static, dynamic, b, fast, m)
-    else:
-        _step_player(static, dynamic, b, fast, m)
-
-
-# --- the paper's pieces ---------------------------------------------------------------------------
-
-# Two kernels, because one for both would take half as long again to compile.
-
-
-@compiled
-def _play_everyone(
-    static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, steps: bool, restarts: bool
-) -> None:
-    """Steps and restarts of all problems, where all agents have a row."""
-    for m in range(len(b.over)):
-        if restarts and b.over[m]:
-            clear_problem(static, dynamic, m, i64(0), i64(1))
-            start_game(static, dynamic, b, m)
-            for n in range(b.agents.shape[1]):
-                b.active[m, n] = dynamic.agents[m, n].status == Status.ACTIVE
-                if b.active[m, n]:
-                    _look(static, dynamic, fast, m, n, b.obs, b.mask, n)
-        elif steps:
-            _step_everyone(static, dynamic, b, fast, m)
+    asked = i64(dynamic.games[m].agent)
+    move_game(static, dynamic, b, fast, m)
+    passes = not (fast.everyone or static.sequential) and dynamic.games[m].active > 1
+    for row in range(b.agents.shape[1]):
+        if b.ending[m, row] != Ending.NONE or (passes and b.acted[m, row]):
+            n = i64(row) if fast.everyone else asked
+            _look(static, dynamic, fast, m, n, b.final_obs, b.final_mask, i64(row))
+    settle_game(static, dynamic, b, fast, m, asked, i64(ALL))
+    for row in range(b.agents.shape[1]):
+        _look(static, dynamic, fast, m, i64(b.agents[m, row]), b.obs, b.mask, i64(row))
 
 
 @compiled
-def _play_player(
+def _play(
     static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, steps: bool, restarts: bool
 ) -> None:
-    """:func:`_play_everyone` where only the agent whose turn it is has a row."""
+    """Steps and restarts of all problems, with the paper's observation and a built-in reward."""
     for m in range(len(b.over)):
         if restarts and b.over[m]:
             clear_problem(static, dynamic, m, i64(0), i64(1))
             start_game(static, dynamic, b, m)
             settle_game(static, dynamic, b, fast, m, i64(NOBODY), i64(NOT))
-            _look(static, dynamic, fast, m, i64(b.agents[m, 0]), b.obs, b.mask, i64(0))
+            for row in range(b.agents.shape[1]):
+                _look(static, dynamic, fast, m, i64(b.agents[m, row]), b.obs, b.mask, i64(row))
         elif steps:
-            _step_player(static, dynamic, b, fast, m)
+            step_problem(static, dynamic, b, fast, m)
