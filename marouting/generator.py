@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.checks import check_fields
+from marouting.config import check
 from marouting.errors import InputError
 from marouting.memory import ADJUSTMENT, NET, PIN, check_memory
 from marouting.problem.grid import AXES, VIA_AXIS
@@ -59,7 +60,9 @@ class GeneratorOptions:
         max_pins: pins per net, drawn uniformly from 2…max_pins.
         capacity: capacity, in tracks, of an edge along its layer's direction.
         reduced_edges: number of edges with reduced capacity, those that sequential A* uses most.
-        reduced_capacity: capacity of these edges; None: ``capacity`` − 2, but at least 0.
+            Where the grid has fewer edges, all are reduced.
+        reduced_capacity: capacity of these edges, at most that of all; None: ``capacity`` − 2, but
+            at least 0.
         reduced_per: ``problem``: each problem has its own edges reduced; ``set``: all problems have
             the same edges reduced, those most used in all of them together, as in the authors'
             published sets.
@@ -75,11 +78,14 @@ class GeneratorOptions:
             chips: the probability of a distance l between a net's first pin and another is
             proportional to l^(2 rent − 3) (Cotter and Christie, "The analytical form of the length
             distribution function for computer interconnection", IEEE Transactions on Circuits and
-            Systems 38(3), 1991). None: pins are uniformly distributed.
+            Systems 38(3), 1991). Of the Gcells at a distance, the two in the same row are twice as
+            likely as the others. None: pins are uniformly distributed.
         macros: number of blockages: rectangles of up to a fifth of the columns and rows that have
             capacity in the two highest layers only, and no pins.
         hot_spots: number of centres around which half of the nets begin, normally distributed with
-            a standard deviation of a sixteenth of the columns and rows.
+            a standard deviation of a sixteenth of the columns and rows. A net that would begin off
+            the grid is drawn again, perhaps elsewhere: a third of the nets begin around a centre
+            at the border.
 
     Raises:
         InputError: a value is out of range.
@@ -114,6 +120,9 @@ class GeneratorOptions:
                 f"macros: expected 0 on a grid of {self.grid}: they need {_MACRO} columns and rows "
                 f"and {_FREE_LAYERS + 1} layers"
             )
+        if self.reduced_capacity is not None:
+            what = f"at most the capacity, {self.capacity}, found {self.reduced_capacity}"
+            check("reduced_capacity", self.reduced_capacity <= self.capacity, what)
         if self.least is not None:
             self._check_least(self.least)
 

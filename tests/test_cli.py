@@ -238,8 +238,27 @@ def test_route_with_a_checkpoint(
         problem = Problem.read(path)
         walked = TrainedPolicy.load(trained / name, stem).solve(problem).solution
         assert Solution.read("a.solution", problem) == walked
+        by_file = ["route", str(path), "--router", str(trained / name), "--json"]
+        again = only_object(printed(capsys, *by_file))
+        assert (again["router"], again["wirelength"]) == ("dqn", shown["wirelength"])
         assert shown["wirelength"] == evaluate(problem, walked).wirelength
     assert (here / "a.solution").exists()
+
+
+@pytest.mark.parametrize(
+    ("key", "said"),
+    [
+        ("env.problem.nets=3", "env.problem.nets: expected no such key: PROBLEM is routed"),
+        ("env.scenario=toy-4x4-v0", "env.scenario: expected no such key: PROBLEM is routed"),
+        ("out=x", "out: expected no such key: nothing but --out is written"),
+        ("train.figures=true", "train.figures: expected no such key: nothing but --out"),
+    ],
+)
+@pytest.mark.usefixtures("here")
+def test_keys_without_an_effect_on_a_route_are_refused(
+    key: str, said: str, refused: Callable[..., str]
+) -> None:
+    assert said in refused("route", "p.gr", "--router", "dqn", key)
 
 
 def test_a_checkpoint_of_another_learner_is_refused(

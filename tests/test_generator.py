@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from reference import Edge, between, edge_number, gcell_of, is_via, pin_gcells
 
 from marouting import InputError, Problem, evaluate, generate, sequential_astar
+from marouting.generator import Least
 from marouting.problem.net import MAX_NUMBER
 
 arguments = st.fixed_dictionaries(
@@ -24,7 +25,7 @@ arguments = st.fixed_dictionaries(
         "reduced_per": st.sampled_from(["problem", "set"]),
         "seed": st.integers(0, 10**9),
     }
-)
+).filter(lambda chosen: (chosen["reduced_capacity"] or 0) <= chosen["capacity"])
 
 
 def text(problem: Problem, folder: Path) -> bytes:
@@ -177,6 +178,11 @@ def test_sizes_of_nets_are_uniform() -> None:
         ({"reduced_capacity": -1}, "reduced_capacity: expected 0 to"),
         ({"reduced_per": "sets"}, "reduced_per: expected one of problem, set, found 'sets'"),
         ({"seed": -1}, "seed: expected a number from 0"),
+        ({"reduced_capacity": 6}, "reduced_capacity: expected at most the capacity, 5, found 6"),
+        (
+            {"reduced_capacity": 4, "least": Least(capacity=3)},
+            "least.reduced_capacity: expected at most the capacity, 3, found 4",
+        ),
     ],
 )
 def test_arguments_out_of_range(bad: dict[str, Any], expected: str) -> None:

@@ -224,10 +224,6 @@ def test_a_stack_is_its_networks_one_by_one(kind: str, count: int) -> None:
         (expected * slope[row]).sum().backward()
         grads = torch.cat([p.grad.reshape(-1) for p in module.parameters()])
         torch.testing.assert_close(found[row], grads, atol=1e-5, rtol=1e-4)
-    if count > 1:
-        before = stack.view(obs)[[0, 2]].detach()
-        stack.keep(np.array([0, 2]))
-        torch.testing.assert_close(stack.view(obs[[0, 2]]), before)
 
 
 class RandomBuffer(Scaled):
@@ -880,23 +876,6 @@ def test_networks_that_are_not_due_stay_as_they_are(kind: type[DQN]) -> None:
         assert not torch.equal(before[name][2], after[name][2])
 
 
-@pytest.mark.parametrize("target_period", [0, 2])
-@pytest.mark.parametrize("kind", DQNS)
-def test_a_network_learns_the_same_when_others_have_left(
-    kind: type[DQN], target_period: int
-) -> None:
-    whole, part = (learner_of(kind, target_period=target_period, masking=True) for _ in range(2))
-    stay = np.array([0, 2])
-    for learner in (whole, part):
-        learner.learn(np.array([3, 1, 2]))
-    part.keep(stay)
-    whole.learn(np.array([1, 4, 5]))
-    part.learn(np.array([1, 5]))
-    for a, b in zip(tensors(whole), tensors(part), strict=True):
-        np.testing.assert_allclose(a[stay], b, atol=1e-6)
-    assert len(state_dicts(part.networks)) == 2
-
-
 @pytest.mark.parametrize("kind", DQNS)
 def test_only_a_joined_task_ends_the_sum_of_rewards(kind: type[DQN]) -> None:
     # One transition, over and over: what the network wants for it is r, or r + γ max Q'.
@@ -1083,24 +1062,6 @@ def test_the_seed_decides_everything(name: str) -> None:
     assert same(runs[0][0], runs[1][0])
     other, player = started(name, True, seed=4)
     assert not same(play(other, player, 20), runs[0][0])
-
-
-@pytest.mark.parametrize("name", LEARNERS)
-def test_a_network_plays_the_same_when_others_have_left(name: str) -> None:
-    whole, player = started(name, True)
-    play(whole, player, 8)
-    part, other = started(name, True)
-    play(part, other, 8)
-    part.keep(np.array([1]))
-    other = other.part(np.array([2, 3]))
-    for _ in range(20):
-        whole.play(player, 1)
-        part.play(other, 1)
-        assert np.array_equal(player.buffers.actions[2:], other.buffers.actions)
-        player.reset(player.buffers.over.copy())
-        other.reset(other.buffers.over.copy())
-    for (key, a), b in zip(whole.state().items(), part.state().values(), strict=True):
-        torch.testing.assert_close(a[1:], b, atol=1e-5, rtol=1e-4, msg=key)
 
 
 @pytest.mark.parametrize("name", LEARNERS)

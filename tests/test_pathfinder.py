@@ -907,6 +907,16 @@ def test_prices_are_set_after_the_probe_and_in_every_round() -> None:
     assert [done.kind for done in plain.history[5:8]] != ["relax"] * 3
 
 
+@pytest.mark.parametrize(("share", "priced"), [(0.2, True), (0.3, False)])
+def test_prices_are_set_only_if_time_is_left(
+    share: float, priced: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Search, "_spent", lambda search: share * search.options.seconds)
+    routed = router(passes=9, lp_after_pass=5, lp_passes=3, seconds=1e6).solve(hard_to_fit(3))
+    kinds = [done.kind for done in routed.history]
+    assert kinds[5:8] == [*["relax" if priced else "negotiate"] * 3]
+
+
 def test_what_fits_needs_no_prices() -> None:
     """Where the linear program overflows nowhere, negotiating goes on, and finds what fits."""
     asked = 0

@@ -41,7 +41,7 @@ from policies.learned.policy import TrainedPolicy
 from policies.learned.router import LearnedRouter
 from policies.learned.trainer import Episode, Trainer
 from policies.routers.astar import AStarRouter
-from policies.routers.base import Policy, solve, warm_up
+from policies.routers.base import solve, warm_up
 from policies.routers.greedy import GreedyRouter
 from policies.routers.random import RandomRouter
 
@@ -68,7 +68,7 @@ def routes_of(policy: TrainedPolicy, problem: Problem) -> Solution:
     return policy.solve(problem).solution
 
 
-def by_gymnasium(policy: Policy, problem: Problem, **options: Any) -> Solution:
+def by_gymnasium(policy: TrainedPolicy, problem: Problem, **options: Any) -> Solution:
     env = GlobalRoutingSingle(problem, **options)
     seen, info = env.reset()
     over = False
@@ -78,7 +78,7 @@ def by_gymnasium(policy: Policy, problem: Problem, **options: Any) -> Solution:
     return env.solution()
 
 
-def by_aec(policy: Policy, problem: Problem, **options: Any) -> Solution:
+def by_aec(policy: TrainedPolicy, problem: Problem, **options: Any) -> Solution:
     env = global_routing_v0.env(problem, **options)
     env.reset()
     for _ in env.agent_iter():
@@ -88,7 +88,7 @@ def by_aec(policy: Policy, problem: Problem, **options: Any) -> Solution:
     return env.unwrapped.solution()
 
 
-def by_parallel(policy: Policy, problem: Problem, **options: Any) -> Solution:
+def by_parallel(policy: TrainedPolicy, problem: Problem, **options: Any) -> Solution:
     env = global_routing_v0.parallel_env(problem, **options)
     seen, infos = env.reset()
     while env.agents:
@@ -213,6 +213,14 @@ def test_a_network_for_other_inputs_is_refused() -> None:
     policy = TrainedPolicy(MLP((13,), 6, hidden=()), False, (13,), EnvOptions())
     with pytest.raises(InputError, match=r"expected .* shape \(12,\), found .* for \(13,\)"):
         policy.solve(problem_of(0))
+
+
+def test_observations_of_another_shape_are_refused() -> None:
+    policy, masks = policy_of(0), np.ones((2, 6), np.int8)
+    seen = np.zeros((2, 12))  # float64, too
+    assert policy.moves(seen, masks).shape == (2,)
+    with pytest.raises(InputError, match=r"^observations: expected of shape \(K, 12\), found"):
+        policy.moves(seen[:, :1], masks)
 
 
 # --- files of trained networks --------------------------------------------------------------------

@@ -7,6 +7,7 @@ import json
 import pickle
 import re
 import sys
+import types
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -657,7 +658,7 @@ def test_spaces_hold_for_all_problems_of_a_generator_without_seed() -> None:
     for edges in (0, 5, 17, 10_000):
         source = {
             "grid": (4, 4, 2), "nets": 3, "max_pins": 3, "capacity": 3, "seed": None,
-            "reduced_edges": edges, "reduced_capacity": 7,
+            "reduced_edges": edges, "reduced_capacity": 1,
         }  # fmt: skip
         env = global_routing_v0.parallel_env(source)
         for seed in range(20):
@@ -952,12 +953,47 @@ def test_what_own_scenarios_are_refused() -> None:
         ({"references": 3}, "references: expected a path, found 3"),
         ({"training": 3}, "training: expected a mapping, found 3"),
         ({"accept": 3}, "accept: expected a function, found 3"),
+        ({"description": 3}, "description: expected a text, found 3"),
+        ({"env": {"agents": "x"}}, "env.agents: expected single or multi, found 'x'"),
     ],
 )
 def test_arguments_of_own_scenarios(options: dict[str, Any], said: str) -> None:
     with pytest.raises(InputError, match=f"^{re.escape(said)}"):
         scenarios.register("arguments-v0", corridor, **options)
     assert "arguments-v0" not in scenarios.names()
+
+
+@pytest.mark.parametrize("name", ["generator", "accept", "largest"])
+def test_a_users_function_that_fails_is_named(name: str) -> None:
+    functions: dict[str, Any] = {"generator": corridor, name: lambda _=None: 1 / 0}
+    with pytest.raises(InputError, match=rf"^odd-v0: {name}: expected no error, found ZeroDivis"):
+        _ = Scenario("odd-v0", **functions).grid
+
+
+def test_a_generator_with_random_numbers_of_its_own_is_refused() -> None:
+    own = np.random.default_rng(0)
+    with pytest.raises(InputError, match=r"^odd-v0: generator: expected the same problem for the"):
+        _ = Scenario("odd-v0", lambda _: sized(own)).test
+
+
+def test_a_scenario_that_is_imported_stands_for_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    module = types.ModuleType("own_levels")
+    for name in ("toy-4x4-v0", "clash-v0"):
+        setattr(module, name[:3], Scenario(name, corridor))
+    monkeypatch.setitem(sys.modules, "own_levels", module)
+    for known in ("_known", "_imported"):
+        monkeypatch.setattr(scenarios, known, dict(getattr(scenarios, known)))
+    assert scenarios.load("own_levels:cla") is module.cla
+    assert scenarios.get("clash-v0") is module.cla
+    with pytest.raises(InputError, match=r"^scenario: own_levels:toy: expected a name that no oth"):
+        scenarios.load("own_levels:toy")
+
+
+def test_what_a_scenario_suggests_for_trainings_is_named(own: Scenario) -> None:
+    for training, said in (({"stepz": 3}, "stepz: unknown key"), ({"games": 0}, "games: expected")):
+        own.training = training
+        with pytest.raises(InputError, match=rf"^corridor-v0: training: {said}"):
+            config_of({"learner": "ippo", "env": {"scenario": "corridor-v0"}})
 
 
 def test_own_references(own: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -34,7 +34,7 @@ from marouting.config import build
 from marouting.env.single import GlobalRoutingSingle
 from marouting.problem.grid import MOVES
 from marouting.rewards import PaperReward
-from policies.learned.config import Config, TrainOptions, load_config
+from policies.learned.config import Config, TrainOptions, config_of, load_config
 from policies.learned.memory.replay import GOES_ON, MASK, MOVE, REWARD
 from policies.learned.policy import TrainedPolicy
 from policies.learned.run import Run
@@ -408,9 +408,9 @@ def test_loss_is_the_mean_of_the_gradient_steps_of_an_episode(
     def note(self: Any, due: NDArray[np.integer]) -> None:
         steps, loss = self.updates.copy(), self.loss.numpy().copy()
         learn(self, due)
-        for row, problem in enumerate(trainer.places):
+        for row, problem in enumerate(trainer.names):
             change = int(self.updates[row] - steps[row]), float(self.loss[row] - loss[row])
-            taken[trainer.names[problem]].append(change)
+            taken[problem].append(change)
 
     monkeypatch.setattr(kind, "learn", note)
     for finished in trainer.run():
@@ -531,14 +531,40 @@ def test_a_problem_that_is_done_plays_no_more(shared: bool, backend: bool) -> No
     trainer = Trainer(problems, small_config(3, epsilon=0.9, shared=shared, fused=backend))
     playing = []
     for _ in trainer.run():
-        running = trainer.places[trainer.running]
-        playing.append([trainer.names[problem] for problem in running])
-        assert len(trainer.learner.updates) == (1 if shared else len(trainer.places))
-        assert len(trainer.player.engine.games) == (2 if shared else len(trainer.places))
+        playing.append([trainer.names[problem] for problem in np.flatnonzero(trainer.running)])
+        active = trainer.player.engine.games["active"] > 0
+        assert not (active & ~trainer.running).any()
     assert playing[0] == ["long", "short"]
     assert ["long"] in playing
     assert trainer.episodes.tolist() == [3, 3]
     assert set(trainer.solutions()) == set(problems)
+
+
+@pytest.mark.parametrize(("seconds", "steps"), [(0.0, 200), (10.0, 1)])
+def test_a_slow_training_looks_at_the_clock_more_often(
+    seconds: float, steps: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trainer = Trainer({"p": tiny()}, small_config(5, fused=False))
+    now, asked, play = itertools.count(0, seconds), [], type(trainer.learner).play
+
+    def noted(learner: Any, player: Any, ahead: int) -> None:
+        asked.append(ahead)
+        play(learner, player, ahead)
+
+    monkeypatch.setattr(type(trainer.learner), "play", noted)
+    clock = SimpleNamespace(monotonic=lambda: next(now))
+    monkeypatch.setattr("policies.learned.trainer.time", clock)
+    train(trainer)
+    assert set(asked[1:]) == {steps}
+
+
+def test_options_of_trainings_without_an_effect_are_refused() -> None:
+    with pytest.raises(InputError, match=r"^best: expected routes with train.games"):
+        TrainOptions(games=2, shared=True, best="reward")
+    visited = {"env": {"mask": {"visited": True}}}
+    config_of({**visited, "learner": {"kind": "dqn", "masking": True}})
+    with pytest.raises(InputError, match=r"^env.mask.visited: expected false with learner.masking"):
+        config_of({**visited, "learner": {"kind": "dqn", "masking": False}})
 
 
 def test_a_shared_memory_holds_the_moves_of_a_step() -> None:

@@ -155,6 +155,9 @@ class Field:
             columns: whether the first column becomes the last.
             rows: whether the first row becomes the last.
         """
+        for name, flip in (("columns", columns), ("rows", rows)):
+            if not isinstance(flip, bool):
+                raise InputError(f"{name}: expected true or false, found {flip!r}")
         turned = Field(*self._sides, self._layers, self.capacity)
         flips = (columns, rows)
 
@@ -206,7 +209,9 @@ class Field:
         axis, at = (_X, right_of) if right_of is not None else (_Y, above)
         most = self._sides[axis] - 2
         if at is None or not (is_whole(at) and 0 <= at <= most):
-            raise InputError(f"{('right_of', 'above')[axis]}: expected 0 to {most}, found {at}")
+            many, name = ("columns", "right_of") if axis == _X else ("rows", "above")
+            what = f"0 to {most}" if most >= 0 else f"a grid of at least two {many}"
+            raise InputError(f"{name}: expected {what}, found {at!r}")
         return axis, int(at)
 
     def _ends(self, name: str, given: Ends | None, axis: int) -> Ends:
@@ -214,7 +219,7 @@ class Field:
         most = self._sides[axis] - 1
         ends = (0, most) if given is None else given
         if not (_are_whole(ends) and len(ends) == 2 and 0 <= ends[0] <= ends[1] <= most):
-            raise InputError(f"{name}: expected numbers from 0 to {most}, found {given}")
+            raise InputError(f"{name}: expected numbers from 0 to {most}, found {given!r}")
         return int(ends[0]), int(ends[1])
 
 

@@ -60,14 +60,16 @@ def load(name: str) -> Scenario:
     From then on the scenario is known by its own name as well.
 
     Raises:
-        InputError: there is no such scenario.
+        InputError: there is no such scenario, or another one has its name.
     """
     if isinstance(name, str) and ":" in name and name not in _imported:
         found = imported(name, "scenario: ")
         if not isinstance(found, Scenario):
             module, _, own = name.partition(":")
             raise InputError(f"scenario: {name}: there is no scenario {own} in {module}")
-        _imported[name] = _known.setdefault(found.name, found)
+        what = f"a name that no other scenario has, found {found.name}"
+        check(f"scenario: {name}", _known.setdefault(found.name, found) is found, what)
+        _imported[name] = found
     return get(name)
 
 

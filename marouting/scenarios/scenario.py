@@ -20,7 +20,7 @@ import os
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,6 +114,10 @@ class Scenario:
             of_key(key, value, _ARGUMENTS[key])
         for key in _PLAYED:
             check("env", key not in (env or {}), f"no key {key}: the scenario is what is played")
+        agents = (env or {}).get("agents", "multi")
+        check("env.agents", agents in ("single", "multi"), f"single or multi, found {agents!r}")
+        text = isinstance(description, str)
+        check("description", text, f"a text, found {description!r}")
         functions = {"generator": generator, "accept": accept, "largest": largest}
         for key, of in functions.items():
             fits = callable(of) or (of is None and key != "generator")
@@ -256,7 +260,7 @@ class Scenario:
     def bounds(self) -> list[Problem]:
         """Problems that, together, have as many nets and pins and as much capacity as any drawn."""
         if self._largest is not None:
-            largest = self._largest()
+            largest = self._of_user("largest", self._largest)
             what = f"a Problem, found {largest!r}"
             check(f"{self.name}: largest", isinstance(largest, Problem), what)
             return [largest]
@@ -270,12 +274,15 @@ class Scenario:
     @functools.cached_property
     def _fixed(self) -> dict[Split, dict[str, Problem]]:
         """The validation and test problems by their names."""
+        twice = [digest(self._generated("test/0", 0)) for _ in range(2)]
+        what = "the same problem for the same random numbers, found two"
+        check(f"{self.name}: generator", twice[0] == twice[1], what)
         known: set[str] = set()
         fixed: dict[Split, dict[str, Problem]] = {}
         for split, count in self._counts.items():
             fixed[split] = {}
             for number in range(count):
-                problem = self._draw(f"{split}/{number}", known, self._accept)
+                problem = self._draw(f"{split}/{number}", known, self._accepts)
                 known.add(self._digest(problem))
                 fixed[split][f"{split}_{number:03d}"] = problem
         grids = {problem.grid for of in fixed.values() for problem in of.values()}
@@ -294,7 +301,29 @@ class Scenario:
         check(f"{self.name}: grid", problem.grid == self.grid, f"{self.grid} in all problems")
         if self._largest is None and (_size(problem) > self._most).any():
             return False
-        return self._accept is None or self._accept(problem)
+        return self._accepts(problem)
+
+    def _accepts(self, problem: Problem) -> bool:
+        return self._accept is None or bool(self._of_user("accept", self._accept, problem))
+
+    def _of_user(self, name: str, function: Callable[..., Any], *arguments: Any) -> Any:
+        """What a function of the user's returns; raises InputError if it raises any error."""
+        try:
+            return function(*arguments)
+        except InputError:
+            raise
+        except Exception as error:
+            raise InputError(
+                f"{self.name}: {name}: expected no error, found {type(error).__name__}: {error}"
+            ) from error
+
+    def _generated(self, key: str, attempt: int) -> Problem:
+        """What the generator draws."""
+        seed = int.from_bytes(hashlib.sha256(f"{self.name}/{key}/{attempt}".encode()).digest())
+        problem = self._of_user("generator", self.generator, np.random.default_rng(seed))
+        found = f"a Problem, found {problem!r}"
+        check(f"{self.name}: generator", isinstance(problem, Problem), found)
+        return cast(Problem, problem)
 
     def _within_largest(self, problem: Problem) -> Problem:
         """The problem; raises InputError if ``largest`` was given and the problem is larger."""
@@ -306,19 +335,15 @@ class Scenario:
         return problem
 
     def _draw(
-        self, key: str, excluded: Collection[str], fits: Callable[[Problem], bool] | None
+        self, key: str, excluded: Collection[str], fits: Callable[[Problem], bool]
     ) -> Problem:
         """Draws a problem that is not excluded; raises InputError after many attempts."""
         known = 0
         for attempt in range(ATTEMPTS):
-            text = f"{self.name}/{key}/{attempt}"
-            seed = int.from_bytes(hashlib.sha256(text.encode()).digest())
-            problem = self.generator(np.random.default_rng(seed))
-            if not isinstance(problem, Problem):
-                raise InputError(f"{self.name}: generator: expected a Problem, found {problem!r}")
+            problem = self._generated(key, attempt)
             if self._digest(problem) in excluded:
                 known += 1
-            elif problem.to_route.any() and (fits is None or fits(problem)):
+            elif problem.to_route.any() and fits(problem):
                 return self._within_largest(problem)
         raise InputError(
             f"{self.name}: the generator draws too few different problems that fit: {known} of "

@@ -212,7 +212,8 @@ def convert(
     default="astar",
     show_default=True,
     shell_complete=routers,
-    help=f"Router or learner: {', '.join(router_names())}, or module:Class.",
+    help=f"Router or learner: {', '.join(router_names())}, module:Class, or the file of a trained "
+    "policy (.pt).",
 )
 @click.option(
     "--checkpoint",
@@ -259,6 +260,12 @@ def route(
     from policies.cli.progress import waiting
 
     results_alone()
+    if router.endswith(".pt"):
+        from policies.learned.policy import TrainedPolicy  # torch
+
+        check("--checkpoint", checkpoint is None, f"none beside --router {router}")
+        checkpoint = Path(router)
+        router = TrainedPolicy.load(checkpoint, problem.stem).learner
     learner = is_learner(router, "--router")
     if checkpoint and not learner:
         expected = " or ".join(names("learner"))
@@ -315,6 +322,17 @@ def _finished(solution: Solution, prune: bool) -> Solution:
     return solution if chip is None or chip.contest is None else with_pins_covered(solution)
 
 
+_NOT_ROUTED = {
+    **dict.fromkeys(("env.problem", "env.scenario", "env.split"), "PROBLEM is routed"),
+    **dict.fromkeys(
+        ("out", "train.checkpoint_seconds", "train.evaluate_every", "train.figures", "train.policy",
+         "train.reference", "train.tensorboard", "train.wandb"),
+        "nothing but --out is written",
+    ),
+}  # fmt: skip
+"""Keys of a training that have no effect on one for a problem that is routed."""
+
+
 def _learned(
     learner: str,
     checkpoint: Path | None,
@@ -328,6 +346,9 @@ def _learned(
     from policies.learned.config import load_config
     from policies.learned.router import LearnedRouter
 
+    for key in (text.partition("=")[0] for text in overrides):
+        for part, reason in _NOT_ROUTED.items():
+            check(key, not f"{key}.".startswith(f"{part}."), f"no such key: {reason}")
     settings = load_config(config, overrides, learner)
     watch = None
     if checkpoint is None:

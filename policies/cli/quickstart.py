@@ -49,7 +49,7 @@ def run(out: Path, as_json: bool = False) -> None:
     ):
         raise InputError(f"{out}: expected a new or an empty folder, or one of quickstart's")
     problem.write(kept)
-    click.echo("Compiling; this happens only once ...", err=True)
+    click.echo("Loading the router and the learners ...", err=True)
     _compile()
     rows, solutions = [], {}
     routers: dict[str, Router] = {"random": RandomRouter(), "astar": AStarRouter()}

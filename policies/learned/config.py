@@ -103,6 +103,8 @@ class TrainOptions:
         for name in ("steps", "seconds", "problems", "validation"):
             fits = self.games is not None or getattr(self, name) is None
             check(name, fits, "null without train.games")
+        routes = self.games is None or self.best == "routes"
+        check("best", routes, "routes with train.games: no routes of episodes are kept")
         check(
             "shared", self.games is None or self.shared, "true: games draw problems for one network"
         )
@@ -134,6 +136,8 @@ class Config:
         wanted, found = getattr(self.learner.cls, "agents", None), self.env.agents
         what = f"{wanted} for {self.learner.name}, found {found}"
         check("env.agents", wanted in (None, found), what)
+        looks = getattr(self.learner.options, "masking", True) or not self.env.mask.visited
+        check("env.mask.visited", looks, "false with learner.masking=false: it ignores masks")
         drawn = self.train.games is not None
         what = "true: endless problems need a shared network"
         check("train.shared", self.train.shared or not self.env.endless, what)
@@ -195,6 +199,7 @@ def config_of(raw: Mapping[str, Any], where: str = "") -> Config:
     if train.get("games") is not None or _endless(env):
         scenario = env.get("scenario")
         suggested = {} if scenario is None else get(scenario).training
+        _ = build(TrainOptions, {**DRAWN, **suggested}, f"{scenario}: training")
         filled = {f.name for f in fields(TrainOptions) if f.default is None}
         given = {key: of for key, of in train.items() if of is not None or key not in filled}
         train = {**DRAWN, **suggested, **given}

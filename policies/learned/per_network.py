@@ -1,32 +1,19 @@
 """What a learner keeps for each of its networks: arrays and tensors with one row per network.
 
-Everything that belongs to a network leaves with it, is saved with it and comes back with it. A
-class says once which of its attributes these are, and gets all three.
+Everything that belongs to a network is saved with it and comes back with it. A class says once
+which of its attributes these are, and gets both.
 """
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from policies.learned.checkpoint import FINITE, checked
 
-Array = TypeVar("Array", NDArray[Any], Tensor)
-
-
 COUNT = (0.0, 2.0**53)
 """The limits of what is counted."""
-
-
-def kept(store: Array, which: NDArray[np.integer]) -> Array:
-    """Some rows of a store (ascending), moved up in place: a second store may not fit in memory."""
-    for to, row in enumerate(which.tolist()):
-        if to != row:
-            store[to] = store[row]
-    return store[: len(which)]
 
 
 class PerNetworkState:
@@ -53,18 +40,6 @@ class PerNetworkState:
 
     def bind(self) -> None:
         """Renews what refers to the rows: they are other tensors now."""
-
-    def keep(self, which: NDArray[np.integer]) -> None:
-        """Goes on with some of the networks only.
-
-        Args:
-            which: (L',) their rows, ascending.
-        """
-        for part in self._parts().values():
-            part.keep(which)
-        for name in self.rows:
-            setattr(self, name, kept(getattr(self, name), which))
-        self.bind()
 
     def state(self) -> dict[str, Tensor]:
         """All rows by name, for a checkpoint; on the processor the tensors themselves."""

@@ -174,7 +174,7 @@ class TrainedPolicy:
         return TrainedPolicy(module, masking, obs_shape, env, origin, *told, learner.name)
 
     def act(self, observation: NDArray[np.float32], mask: NDArray[np.int8]) -> int:
-        """The best move; see :class:`policies.routers.base.Policy`."""
+        """The best of the moves for an observation (*S) and mask (A,) of an environment."""
         return int(self.moves(observation[None], mask[None])[0])
 
     def moves(
@@ -184,7 +184,13 @@ class TrainedPolicy:
 
         Masks and moves are those of the grid, also where the network chooses among an observation's
         own moves.
+
+        Raises:
+            InputError: the observations are of another shape than those of the training.
         """
+        observations = np.asarray(observations, np.float32)
+        what = f"of shape {('K', *self.obs_shape)}, found {observations.shape}"
+        check("observations", observations.shape[1:] == self.obs_shape, what.replace("'", ""))
         with torch.no_grad():
             ratings = self.module(torch.from_numpy(observations))
         if not has_move_order(self._observation):

@@ -3,13 +3,15 @@
 One loop serves both ways to play, and every learner. With ``agents: single`` each game moves the
 net whose turn it is, one transition per step (the paper); with ``agents: multi`` all its nets move
 at once, and the network that the nets share learns from all their transitions. Either way every
-problem has its own network and random numbers; playing them together only saves time. A problem
-that has trained its episodes leaves. With ``shared: true`` there is one network for all problems,
-and with ``games`` as well, every episode may be that of another problem.
+problem has its own network and random numbers; playing them together only saves time. With
+``shared: true`` there is one network for all problems, and with ``games`` as well, every episode
+may be that of another problem.
 """
 
 import functools
+import math
 import textwrap
+import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from typing import Any
@@ -50,7 +52,10 @@ SHARED = ("all",)
 """The name of the network that all problems share, where there is one."""
 
 _STEPS = 200
-"""Steps between two looks at a clock or for an interrupt: a few hundredths of a second."""
+"""The most steps between two looks at a clock or for an interrupt."""
+
+_LOOK = 0.05
+"""Seconds between these looks, if a step of all games and what is learned from it take less."""
 
 
 class Trainer:
@@ -67,14 +72,13 @@ class Trainer:
         problems: the problems by name.
         names: their names.
         learner: what learns.
-        player: the games: of each problem that still trains, its copies one after another.
+        player: the games: of each problem its copies one after another.
         episodes: (M,) int64, episodes finished; where games draw their problems (1,), of all games.
         steps: likewise, the moves that agents have made, in games that go on as well.
         drawn: whether games draw their problems.
         path: how the learner is computed, in words.
         walks: the evaluations made since :meth:`run` last yielded.
         saved: the networks that are saved.
-        places: which problems the networks and games belong to that still train.
 
     Raises:
         InputError: the problems do not go together, the device is not there, or the learner does
@@ -138,9 +142,10 @@ class Trainer:
         guide_ = self.learner.burn_in
         alone = not drawn or self.learner.learning_starts == 0 or guide_ in GUIDES
         check("burn_in", alone, f"{' or '.join(GUIDES)} with train.games, found {guide_}")
-        self.episodes, self.steps = np.zeros((2, count), np.int64)
+        self.episodes, self.steps, self._told = np.zeros((3, count), np.int64)
         self.spent = 0.0  # share of train.seconds that has passed, by the clock of a run
         self.clock: Callable[[], float] = float
+        self._pace = math.inf  # seconds that an agent's move took last
         # What stays of each problem, unless each is played once, and of each network.
         best = 0 if drawn else count
         self.score = np.full((best, 3), np.inf)  # of the best episode: less is better
@@ -150,38 +155,17 @@ class Trainer:
         self.saved = SavedNetworks(config, setup.names, setup.obs_shape, setup.actions, networks)
         self._evaluated = np.zeros(len(networks), np.int64)  # episodes at the last evaluation
         self.walks: list[GreedyEvaluation] = []
-        self.places = np.arange(count)
         self._before = np.zeros((len(b.over), 2))  # of the network before the episode: loss, steps
-        self._left: list[tuple[NDArray[np.int64], dict[str, dict[str, Tensor]]]] = []
         self.path = self.learner.path
         self._tell_episodes()
 
     @property
     def games(self) -> NDArray[np.int64]:
         """(games,) the problem of each game."""
-        return np.repeat(self.places, self._copies)
-
-    def _keep(self, which: NDArray[np.integer]) -> None:
-        """Goes on with some of the problems (places, ascending); checkpoints keep the others'."""
-        leaving = np.setdiff1d(np.arange(len(self.places)), which)
-        rows = {
-            part: {name: torch.stack([row[i] for i in leaving]) for name, row in of.items()}
-            for part, of in self._rows().items()
-        }
-        self._left.append((self.places[leaving], rows))
-        copies = self._copies
-        games = (which[:, None] * copies + np.arange(copies)).ravel()
-        self.learner.keep(which)
-        self.player = self.player.part(games)
-        self.places, self._before = self.places[which], self._before[games]
+        return np.repeat(np.arange(len(self.episodes)), self._copies)
 
     @property
     def running(self) -> NDArray[np.bool_]:
-        """(M',) which problems in play still have episodes to train."""
-        return self._trains[self.places]
-
-    @property
-    def _trains(self) -> NDArray[np.bool_]:
         """(M,) which problems still have episodes to train."""
         train = self.config.train
         if self.spent >= 1:
@@ -234,13 +218,15 @@ class Trainer:
         player.reset()
 
     def _tell_episodes(self) -> None:
+        """Tells the learner how far the training is, when episodes begin."""
         train, played = self.config.train, self.episodes
         if train.steps is not None or self.spent:
             # As many episodes of all as there have been steps of all, or time.
             made = self.steps / train.steps if train.steps else np.zeros(len(played))
             share = np.clip(made, self.spent, 1)
             played = np.maximum(played, (share * train.episodes).astype(np.int64))
-        self.learner.set_episodes(played[self.games])
+        self._told[:] = played
+        self.learner.set_episodes(self._told[self.games])
 
     def run(self) -> Iterator[list[Episode]]:
         """Trains to the end; after some steps of all games, yields the episodes that ended.
@@ -254,20 +240,26 @@ class Trainer:
             self.burn_in()
         while self.running.any():
             self.walks = []
-            before = self.player.engine.games["steps"].copy()
+            before, began = self.player.engine.games["steps"].copy(), time.monotonic()
             self.learner.play(self.player, self._steps_ahead)
-            np.add.at(self.steps, self.games, self.player.engine.games["steps"] - before)
+            made = self.player.engine.games["steps"] - before
+            self._pace = (time.monotonic() - began) / max(int(made.sum()), 1)
+            np.add.at(self.steps, self.games, made)
             self.spent = self.clock()
             over = self.player.buffers.over.copy()
             yield self._finish(over) if over.any() or not self.running.any() else []
 
     @property
     def _steps_ahead(self) -> int:
-        """Steps of all games until the trainer looks again: it stops soon after ``train.steps``."""
-        if self.config.train.steps is None:
-            return _STEPS
-        left = self.config.train.steps - int(self.steps.sum())
-        return int(np.clip(left // self.player.buffers.actions.size, 1, _STEPS))
+        """Steps of all games until the trainer looks again: it stops soon after ``train.steps``.
+
+        What comes of a training does not depend on when the trainer looks.
+        """
+        moves = self.player.buffers.actions.size
+        ahead = _LOOK / (max(self._pace, 1e-9) * moves)
+        if self.config.train.steps is not None:
+            ahead = min(ahead, (self.config.train.steps - int(self.steps.sum())) // moves)
+        return int(np.clip(ahead, 1, _STEPS))
 
     def _finish(self, over: NDArray[np.bool_]) -> list[Episode]:
         """Scores the episodes that are over and starts the next ones."""
@@ -310,11 +302,6 @@ class Trainer:
         self._before[over, 0], self._before[over, 1] = losses[over], updates[over]
         running = self.running
         self._evaluate(np.unique(games[over] if running.any() else games))
-        if running.any() and not running.all() and not self.config.train.shared:
-            # The games that go on are started below.
-            over = over[np.repeat(running, self._copies)]
-            self._keep(np.flatnonzero(running))
-            running = running[running]
         self.player.reset(over & np.repeat(running, self._copies))
         self._tell_episodes()
         return finished
@@ -328,7 +315,7 @@ class Trainer:
         networks = np.unique(of[problems])
         episodes = np.array([played[of == network].min() for network in networks], np.int64)
         before = self._evaluated[networks]
-        trains = np.broadcast_to(self._trains, len(self.names))
+        trains = np.broadcast_to(self.running, len(self.names))
         ended = np.array([not trains[of == network].any() for network in networks])
         due = (episodes >= before + train.evaluate_every) | ended
         # A training that ends by its steps or its time ends within an episode.
@@ -337,7 +324,7 @@ class Trainer:
         if not len(networks):
             return
         self._evaluated[networks] = episodes
-        rows = np.zeros(1, np.int64) if train.shared else np.searchsorted(self.places, networks)
+        rows = np.zeros(1, np.int64) if train.shared else networks
         shown = np.flatnonzero(np.isin(of, networks)).reshape(len(networks), -1)
         player = self._whole.part(shown.ravel())
         player.reset()
@@ -380,30 +367,16 @@ class Trainer:
         }
 
     def _rows(self) -> dict[str, dict[str, Tensor]]:
-        """What a checkpoint holds of the problems that still train, a row each, or one for all."""
-        rows = 1 if self.config.train.shared else len(self.places)
+        """What a checkpoint holds of the problems, a row each, or one for all."""
+        rows = 1 if self.config.train.shared else len(self.episodes)
         games = {"before": torch.from_numpy(self._before)}
         games |= {name: as_rows(array) for name, array in _games_of(self.player).items()}
         each = {name: of.view(rows, len(of) // rows, of.shape[1]) for name, of in games.items()}
         return {"training": self.learner.state(), "games": each}
 
-    def _all_rows(self) -> dict[str, dict[str, Tensor]]:
-        """The same of all problems, also of those that have left."""
-        whole = self._rows()
-        if self._left:
-            parts = [(self.places, whole), *self._left]
-            order = np.argsort(np.concatenate([places for places, _ in parts]))
-            whole = {
-                part: {
-                    name: torch.cat([state[part][name] for _, state in parts])[order] for name in of
-                }
-                for part, of in whole.items()
-            }
-        return whole
-
     def state(self) -> dict[str, Any]:
         """Everything that it takes to go on as if never stopped."""
-        rows = self._all_rows()
+        rows = self._rows()
         return {
             **self.saved.state(),
             "format": TRAINING_FORMAT,
@@ -443,7 +416,7 @@ class Trainer:
                 raise InputError(f"{where}: {min(more)}: expected nothing of that name")
         limits = {
             **dict.fromkeys(("score", "policy_score"), ANY),
-            **dict.fromkeys(("episodes", "policy_episode", "_evaluated"), (0, then)),
+            **dict.fromkeys(("episodes", "policy_episode", "_evaluated", "_told"), (0, then)),
             "best_episode": (NOBODY, then - 1),
             "draws": COUNT,
             "steps": COUNT,
@@ -480,18 +453,16 @@ class Trainer:
         train = self.config.train
         # A run that ended by its steps or seconds may be going on with more of them.
         bounded = train.steps is not None or train.seconds is not None
-        if not bounded and ((self._trains & (self.episodes < then))[:, None] & over).any():
+        if not bounded and ((self.running & (self.episodes < then))[:, None] & over).any():
             raise InputError(f"{where}: expected games of all problems with episodes to train")
-        running = self.running
-        if running.any() and not running.all() and not train.shared:
-            self._keep(np.flatnonzero(running))
-            over, running = over[running], running[running]
-        if bounded or then < most:  # where all had been played, more are to come
-            self.player.reset((over & running[:, None]).ravel())
-        self._tell_episodes()
+        begins = over & self.running[:, None] & (bounded or then < most)
+        self.learner.set_episodes(self._told[self.games])
+        if begins.any():  # where all had been played, more are to come
+            self.player.reset(begins.ravel())
+            self._tell_episodes()
 
 
-_OWN = ("episodes", "steps", "score", "best_episode", "_evaluated")
+_OWN = ("episodes", "steps", "score", "best_episode", "_evaluated", "_told")
 """Attributes of a trainer that a checkpoint holds, beside the learner, the games and the routes."""
 
 

@@ -1,4 +1,4 @@
-"""The interfaces of routers and policies."""
+"""The interfaces of routers."""
 
 import contextlib
 from collections.abc import Callable
@@ -11,22 +11,6 @@ from marouting import InputError, Problem, Solution, generate
 LEFT_ALONE = "left alone"
 """The name of threads that may be at work in a library when the process ends; it must not wait for
 them, nor take apart what they use."""
-
-
-class Policy(Protocol):
-    """Chooses moves in the environment, through any of its interfaces."""
-
-    def act(self, observation: Any, mask: Any) -> int:
-        """Chooses a move.
-
-        Args:
-            observation: float32, what the agent sees.
-            mask: (6,) int8, 1 for the moves that cross an edge.
-
-        Returns:
-            One of the six moves.
-        """
-        ...
 
 
 class Router(Protocol):

@@ -118,12 +118,6 @@ class Stack(PerNetworkState):
         for name, tensor in (view.weights | view.buffers).items():
             tensor.data.copy_(weights[name].view_as(tensor))
 
-    def keep(self, which: NDArray[np.integer]) -> None:
-        """Goes on with some of the networks only."""
-        rows = torch.from_numpy(which).to(self.flat.device)
-        self._buffers = {name: buffer[rows] for name, buffer in self._buffers.items()}
-        super().keep(which)
-
     def view_of(self, flat: Tensor, first: int = 0) -> View:
         """The networks with other weights.
 

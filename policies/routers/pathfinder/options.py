@@ -64,9 +64,10 @@ class PathfinderOptions:
             overflow, shorter nets are of no use.
         reroute_fraction: share of the nets that are rerouted even though their tree is already as
             short as possible, to make room for others.
-        lp_after_pass: after this many passes, if all solutions so far overflow, prices are set by a
-            linear program over all trees so far, and again when a later round begins
-            (:mod:`policies.routers.pathfinder.relaxation`). Not with more than 20 000 nets.
+        lp_after_pass: after this many passes, if all solutions so far overflow and at least three
+            quarters of the time are left, prices are set by a linear program over all trees so far,
+            and again when a later round begins (:mod:`policies.routers.pathfinder.relaxation`). Not
+            with more than 20 000 nets.
         lp_passes: how many relaxing passes follow, each at new prices, before negotiating goes on.
             0: there is no linear program, and prices come from past overflow alone.
         lp_price_scale: what the highest price of the linear program adds to the cost of an edge, in

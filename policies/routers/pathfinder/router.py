@@ -160,7 +160,8 @@ class _Stages:
             self._raise_prices()
             yield NEGOTIATE
             due = len(search.history) == options.lp_after_pass and options.lp_passes > 0
-            if due and search.best_rank[0] > 0:
+            # At the program's prices there is more overflow at first, and it takes passes to fall.
+            if due and search.best_rank[0] > 0 and not search.is_late:
                 yield from self._relax(options.lp_passes)
 
     def _squeeze(self) -> Iterator[int]:

@@ -214,6 +214,11 @@ class Search:
         limit = self.options.seconds
         return np.inf if limit is None else limit - self._spent()
 
+    @property
+    def is_late(self) -> bool:
+        """Whether more than a quarter of the processor time is spent."""
+        return self._left() < 3 * self._spent()
+
     def _set_work(self, left: float) -> None:
         """Sets how many labels are opened until the next look at the clock."""
         # Half of the time that is left, so that short searches end in time, too.
