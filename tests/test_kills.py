@@ -166,8 +166,9 @@ def check_killed(name: str, kills: int, tmp_path: Path) -> None:
     whole = tmp_path / "whole"
     whole.mkdir()
     arguments = command.prepare(whole)
+    process = process_of(arguments, whole)  # the first of all waits until the server has imported
     start = time.monotonic()
-    assert ended(process_of(arguments, whole)) == 0, (whole / "said").read_text()
+    assert ended(process) == 0, (whole / "said").read_text()
     seconds = time.monotonic() - start
     expected, made = command.outcome(whole / "out"), names(whole / "out")
     assert not [name for name in made if name.endswith((TEMPORARY, LOCK))]

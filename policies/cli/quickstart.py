@@ -65,6 +65,7 @@ def run(out: Path, as_json: bool = False) -> None:
         f"{learner}, every net an agent": "multi",
     }
     for name, agents in games.items():
+        click.echo(f"Training {name}: {EPISODES} episodes ...", err=True)
         result, solutions[name] = _train(problem, out, agents)
         rows.append({**result, "router": name})
     titles = [name.replace(learner, router_label(learner)) for name in map(router_label, solutions)]
