@@ -9,10 +9,11 @@ from marouting.config import Named, build, check, merged, piece_field, take_piec
 from marouting.errors import InputError, UnknownOption
 from marouting.generator import GeneratorOptions
 from marouting.problem.controls import ProblemFile
+from marouting.rules import Agents as Agents
 from marouting.rules import Rules, TurnOrder
 from marouting.scenarios import Scenario, Split, load, names
+from marouting.scenarios.scenario import PLAYED as PLAYED
 
-Agents = Literal["single", "multi"]
 RenderMode = Literal["ansi", "rgb_array", "human"]
 
 SMALL = GeneratorOptions(nets=10, reduced_edges=0)
@@ -20,9 +21,6 @@ SMALL = GeneratorOptions(nets=10, reduced_edges=0)
 
 It has no reduced edges. Finding those takes a search, and compiling the search would double the
 time that the first ``env()`` takes on a new machine."""
-
-
-PLAYED = ("problem", "scenario", "split")  # the options that say which problems are played, not how
 
 
 ProblemSource = str | tuple[str, ...] | ProblemFile | GeneratorOptions

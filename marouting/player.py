@@ -572,6 +572,17 @@ def _picked(order: NDArray[np.int64], moves: NDArray[np.integer]) -> NDArray[np.
     return np.where(moves == NOBODY, NOBODY, found[..., 0]).astype(np.int16)
 
 
+@inlined
+def _ends(
+    static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int, row: int
+) -> Any:
+    """Whether a row gets a final observation: a task has ended, or the turn passes to others."""
+    if b.ending[m, row] != Ending.NONE:
+        return True
+    turns = not (fast.everyone or static.sequential) and dynamic.games[m].active > 1
+    return turns and b.acted[m, row]
+
+
 @compiled
 def _list_arrived(
     static: Static,
@@ -583,12 +594,11 @@ def _list_arrived(
     agents: Any,
     rows: Any,
 ) -> int:
-    """Lists the agents whose tasks have ended, or who pass the turn; returns how many they are."""
+    """Lists the agents that get a final observation; returns how many they are."""
     count = 0
     for m in range(len(asked)):
-        passes = not (fast.everyone or static.sequential) and dynamic.games[m].active > 1
         for row in range(b.agents.shape[1]):
-            if b.ending[m, row] != Ending.NONE or (passes and b.acted[m, row]):
+            if _ends(static, dynamic, b, fast, m, row):
                 problems[count] = m
                 agents[count] = row if fast.everyone else asked[m]
                 rows[count] = m * b.agents.shape[1] + row
@@ -823,9 +833,8 @@ def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPat
     """A step of one problem, with the paper's observation and a built-in reward."""
     asked = i64(dynamic.games[m].agent)
     move_game(static, dynamic, b, fast, m)
-    passes = not (fast.everyone or static.sequential) and dynamic.games[m].active > 1
     for row in range(b.agents.shape[1]):
-        if b.ending[m, row] != Ending.NONE or (passes and b.acted[m, row]):
+        if _ends(static, dynamic, b, fast, m, row):
             n = i64(row) if fast.everyone else asked
             _look(static, dynamic, fast, m, n, b.final_obs, b.final_mask, i64(row))
     settle_game(static, dynamic, b, fast, m, asked, i64(ALL))

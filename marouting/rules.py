@@ -15,6 +15,7 @@ from marouting.trees.decomposition import Decomposition
 MOST_STEPS, MOST_ROUNDS, MOST_NEIGHBOURS, MOST_BITS = 1_000_000, 100_000, 100, 8
 """The largest ``max_steps``, ``rip_up.rounds``, ``rip_up.neighbours`` and ``message_bits``."""
 
+Agents = Literal["single", "multi"]
 TurnOrder = Literal["sequential", "round_robin"]
 NetOrder = Literal["half_perimeter", "half_perimeter_up", "file"]
 Target = Literal["pin", "tree"]

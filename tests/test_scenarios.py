@@ -954,7 +954,7 @@ def test_what_own_scenarios_are_refused() -> None:
         ({"training": 3}, "training: expected a mapping, found 3"),
         ({"accept": 3}, "accept: expected a function, found 3"),
         ({"description": 3}, "description: expected a text, found 3"),
-        ({"env": {"agents": "x"}}, "env.agents: expected single or multi, found 'x'"),
+        ({"env": {"agents": "x"}}, "env.agents: expected one of single, multi, found 'x'"),
     ],
 )
 def test_arguments_of_own_scenarios(options: dict[str, Any], said: str) -> None:

@@ -30,6 +30,7 @@ from marouting.errors import InputError
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.problem.net import is_whole
 from marouting.problem.problem import Problem
+from marouting.rules import Agents
 from marouting.scenarios.digests import digest, mirror_digest
 from marouting.scenarios.references import Best, Reference, path_of, references_in
 from marouting.search.astar import sequential_astar
@@ -50,8 +51,8 @@ _ARGUMENTS: dict[str, Any] = {
 }
 """What arguments of a scenario must be."""
 
-_PLAYED = ("problem", "scenario", "split")
-"""Options of the environment that a scenario cannot suggest."""
+PLAYED = ("problem", "scenario", "split")
+"""The options that say which problems are played, not how; a scenario cannot suggest them."""
 
 ORDERS = 8  # the most net orders in which A* tries to route a problem without overflow
 ATTEMPTS = 1000  # the most attempts for one problem. None of the scenarios comes near it.
@@ -112,10 +113,10 @@ class Scenario:
         check("name", named, f"letters, digits, _, . and -, found {name!r}")
         for key, value in given.items():
             of_key(key, value, _ARGUMENTS[key])
-        for key in _PLAYED:
+        for key in PLAYED:
             check("env", key not in (env or {}), f"no key {key}: the scenario is what is played")
-        agents = (env or {}).get("agents", "multi")
-        check("env.agents", agents in ("single", "multi"), f"single or multi, found {agents!r}")
+        if "agents" in (env or {}):
+            of_key("env.agents", (env or {})["agents"], Agents)
         text = isinstance(description, str)
         check("description", text, f"a text, found {description!r}")
         functions = {"generator": generator, "accept": accept, "largest": largest}
