@@ -577,7 +577,7 @@ def hints_of(kind: Any) -> dict[str, Any]:
     """The types of the fields that a dataclass or a TypedDict is made with."""
     hints = _type_hints(kind)
     return (
-        {f.name: hints.get(f.name, Any) for f in made_with(kind)} if is_dataclass(kind) else hints
+        {f.name: hints.get(f.name, Any) for f in _made_with(kind)} if is_dataclass(kind) else hints
     )
 
 
@@ -589,7 +589,7 @@ def _type_hints(annotated: Any) -> dict[str, Any]:
         return {}
 
 
-def made_with(schema: Any) -> list[dataclasses.Field[Any]]:
+def _made_with(schema: Any) -> list[dataclasses.Field[Any]]:
     """The fields that a dataclass is made with."""
     return [f for f in fields(schema) if f.init]
 
@@ -599,7 +599,7 @@ def _is_schema(cls: type[Any]) -> bool:
     if not is_dataclass(cls):
         return False
     # A plain subclass of one may have a constructor; an InitVar is no field.
-    return set(inspect.signature(cls).parameters) == {f.name for f in made_with(cls)}
+    return set(inspect.signature(cls).parameters) == {f.name for f in _made_with(cls)}
 
 
 def attributes(kind: type[Any]) -> dict[str, str]:
@@ -688,7 +688,7 @@ def piece(kind: str, raw: Any, default: str | None = None, where: str = "") -> C
         raise under(where, InputError(f"kind: expected a name, found {name!r}"))
     cls = lookup(kind, name, where)
     schema, varied = _options_of(kind, cast(Any, cls))
-    known = [f.name for f in made_with(schema)]
+    known = [f.name for f in _made_with(schema)]
     others = {key: plainly.pop(key) for key in list(plainly) if varied and key not in known}
     try:
         for key in plainly:
@@ -751,7 +751,7 @@ def plain(value: Any) -> Any:
             )
         return {"kind": value.name, **plain(options)}
     if is_dataclass(value) and not isinstance(value, type):
-        return {f.name: plain(getattr(value, f.name)) for f in made_with(value)}
+        return {f.name: plain(getattr(value, f.name)) for f in _made_with(value)}
     if isinstance(value, Mapping):
         return {key: plain(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):

@@ -734,7 +734,7 @@ def _finish(b: StepBuffers, m: int, playing: bool, game: Any) -> None:
         b.final[m].steps = game.steps
 
 
-# --- any observation ------------------------------------------------------------------------------
+# --- with any observation, the parts of a step ----------------------------------------------------
 
 
 @inlined
@@ -828,9 +828,12 @@ def _settle_and_show(
             write_mask(static, dynamic, b.mask, m, i64(b.agents[m, row]), i64(row))
 
 
+# --- the paper's observation and a built-in reward ------------------------------------------------
+
+
 @inlined
 def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
-    """A step of one problem, with the paper's observation and a built-in reward."""
+    """A whole step of one problem."""
     asked = i64(dynamic.games[m].agent)
     move_game(static, dynamic, b, fast, m)
     for row in range(b.agents.shape[1]):
@@ -846,7 +849,7 @@ def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPat
 def _play(
     static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, steps: bool, restarts: bool
 ) -> None:
-    """Steps and restarts of all problems, with the paper's observation and a built-in reward."""
+    """Steps and restarts of all problems."""
     for m in range(len(b.over)):
         if restarts and b.over[m]:
             clear_problem(static, dynamic, m, i64(0), i64(1))

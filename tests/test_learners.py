@@ -1031,12 +1031,18 @@ LEARNERS: dict[str, tuple[str, dict[str, Any]]] = {
 }
 
 
-def started(name: str, multi: bool, **changes: Any) -> tuple[Learner, Player]:
-    """A learner of two networks with two games each."""
+def started(
+    name: str,
+    multi: bool,
+    player: Player | None = None,
+    names: Sequence[str] = ("a", "b"),
+    **changes: Any,
+) -> tuple[Learner, Player]:
+    """A learner of one network for each name, with two games each."""
     kind, options = LEARNERS[name]
     a, b = tiny(nets=4), tiny(1, nets=2)
-    player = player_of([a, a, b, b], multi)
-    setup = setup_of(player, ["a", "b"], **changes)
+    player = player or player_of([a, a, b, b], multi)
+    setup = setup_of(player, list(names), **changes)
     start: Any = PPO.start if kind == "ppo" else FusedDQN.start
     return start(setup, options_of(kind, **options)), player
 
@@ -1054,6 +1060,25 @@ def test_a_learner_goes_on_from_its_state(name: str, multi: bool) -> None:
     assert first.updates.min() > 0
     for a, b in zip(tensors(first), tensors(second), strict=True):
         assert np.array_equal(a, b)
+
+
+@pytest.mark.parametrize("name", LEARNERS)
+def test_a_network_plays_and_learns_alone_as_beside_others(name: str) -> None:
+    a, b = tiny(nets=2), tiny(1, nets=2)
+    both, players = [], [player_of(problems, True) for problems in ([a, a, b, b], [b, b])]
+    for player, names in zip(players, (["a", "b"], ["b"]), strict=True):
+        both.append(started(name, True, player=player, names=names)[0])
+    for step in range(40):
+        for learner, player in zip(both, players, strict=True):
+            learner.set_episodes(np.full(len(player.buffers.over), step // 10))
+            learner.play(player, 1)
+        beside, alone = (player.buffers for player in players)
+        assert np.array_equal(beside.actions[2:], alone.actions)
+        for player in players:
+            player.reset(player.buffers.over.copy())
+    assert both[1].updates.min() > 0
+    for (key, one), other in zip(both[0].state().items(), both[1].state().values(), strict=True):
+        torch.testing.assert_close(one[1:], other, atol=1e-5, rtol=1e-4, msg=key)
 
 
 @pytest.mark.parametrize("name", LEARNERS)

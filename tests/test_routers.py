@@ -219,7 +219,7 @@ def test_observations_of_another_shape_are_refused() -> None:
     policy, masks = policy_of(0), np.ones((2, 6), np.int8)
     seen = np.zeros((2, 12))  # float64, too
     assert policy.moves(seen, masks).shape == (2,)
-    with pytest.raises(InputError, match=r"^observations: expected of shape \(K, 12\), found"):
+    with pytest.raises(InputError, match=r"^observations: expected shape \(K, 12\), found"):
         policy.moves(seen[:, :1], masks)
 
 

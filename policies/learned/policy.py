@@ -189,8 +189,8 @@ class TrainedPolicy:
             InputError: the observations are of another shape than those of the training.
         """
         observations = np.asarray(observations, np.float32)
-        what = f"of shape {('K', *self.obs_shape)}, found {observations.shape}"
-        check("observations", observations.shape[1:] == self.obs_shape, what.replace("'", ""))
+        what = f"shape ({', '.join(map(str, ('K', *self.obs_shape)))}), found {observations.shape}"
+        check("observations", observations.shape[1:] == self.obs_shape, what)
         with torch.no_grad():
             ratings = self.module(torch.from_numpy(observations))
         if not has_move_order(self._observation):

@@ -366,27 +366,17 @@ class Trainer:
             **({"draws": self.player.draws.counts} if self.player.draws else {}),
         }
 
-    def _rows(self) -> dict[str, dict[str, Tensor]]:
-        """What a checkpoint holds of the problems, a row each, or one for all."""
-        rows = 1 if self.config.train.shared else len(self.episodes)
-        games = {"before": torch.from_numpy(self._before)}
-        games |= {name: as_rows(array) for name, array in _games_of(self.player).items()}
-        each = {name: of.view(rows, len(of) // rows, of.shape[1]) for name, of in games.items()}
-        return {"training": self.learner.state(), "games": each}
-
     def state(self) -> dict[str, Any]:
         """Everything that it takes to go on as if never stopped."""
-        rows = self._rows()
+        own = {**self._arrays(), "before": self._before}
+        games = {name: as_rows(array) for name, array in _games_of(self.player).items()}
         return {
             **self.saved.state(),
             "format": TRAINING_FORMAT,
             "problems": list(self.names),
             "in_all": self.config.train.episodes,
-            "training": rows["training"],
-            "trainer": {
-                **{name: torch.from_numpy(array) for name, array in self._arrays().items()},
-                **{name: row.flatten(0, 1) for name, row in rows["games"].items()},
-            },
+            "training": self.learner.state(),
+            "trainer": {name: torch.from_numpy(array) for name, array in own.items()} | games,
             "routes": [best and torch.from_numpy(np.stack(best.uses)) for best in self.best],
         }
 
