@@ -428,6 +428,7 @@ def there(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "mine.py").write_text(MINE)
     for name, problem in problems().items():
         sequential_astar(problem).write(folder / "solved" / f"{name}.some.solution")
+    (folder / "astar").mkdir()  # no folder stands for a router's name
     rows = [("set", "problem", "overflow", "wirelength")]
     rows += [(SCENARIO, name, "1", "20") for name in problems()]
     with (folder / "other.csv").open("w", newline="") as file:
@@ -539,7 +540,8 @@ def test_a_run_goes_on(here: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPat
             r"--scenario: unknown name .*; did you mean toy-4x4-v0",
         ),
         (["--scenario", SCENARIO, "--router", "astr"], r"did you mean astar"),
-        (["--scenario", SCENARIO, "--router", "no/such.pt"], r"expected a file or a folder"),
+        (["--scenario", SCENARIO, "--router", "no/such.pt"], r"no/such.pt: cannot be read"),
+        (["--scenario", SCENARIO, "--router", "no/such"], r"expected a file or a folder"),
         (["--scenario", SCENARIO, "--router", "astar best_off=2"], r"did you mean best_of"),
         (["--scenario", SCENARIO, "--router", "astar", "--budget", "x"], r"budget: expected"),
         (["--scenario", SCENARIO, "--router", "astar", "--router", "astar"], r"there are two"),

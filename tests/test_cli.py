@@ -238,9 +238,11 @@ def test_route_with_a_checkpoint(
         problem = Problem.read(path)
         walked = TrainedPolicy.load(trained / name, stem).solve(problem).solution
         assert Solution.read("a.solution", problem) == walked
-        by_file = ["route", str(path), "--router", str(trained / name), "--json"]
-        again = only_object(printed(capsys, *by_file))
-        assert (again["router"], again["wirelength"]) == ("dqn", shown["wirelength"])
+        for router in ([trained / name], [trained], ["dqn", "--checkpoint", trained]):
+            again = ["route", path, "--router", *router, "--json", "--out", "b.solution"]
+            assert only_object(printed(capsys, *map(str, again)))["router"] == "dqn"
+            if trained / name in router or name == "policy.pt":  # the one that a folder stands for
+                assert Solution.read("b.solution", problem) == walked
         assert shown["wirelength"] == evaluate(problem, walked).wirelength
     assert (here / "a.solution").exists()
 

@@ -58,6 +58,7 @@ from policies.cli.options import (
 from policies.cli.source import problem_argument
 from policies.cli.view import view
 from policies.interrupts import Held, interruptible
+from policies.results.run_folder import policy_file
 from policies.routers.base import LEFT_ALONE, solve, warm_up
 from policies.routers.registry import is_learner, make_router, router_names, unknown
 
@@ -212,13 +213,14 @@ def convert(
     default="astar",
     show_default=True,
     shell_complete=routers,
-    help=f"Router or learner: {', '.join(router_names())}, module:Class, or the file of a trained "
-    "policy (.pt).",
+    help=f"Router or learner: {', '.join(router_names())}, module:Class, or a trained policy: "
+    "its file or its training's folder.",
 )
 @click.option(
     "--checkpoint",
     type=FILE,
-    help="File of a trained policy; without it, a learner is trained on the problem.",
+    help="Trained policy, its file or its training's folder; without it, a learner is trained on "
+    "the problem.",
 )
 @click.option(
     "--config",
@@ -260,12 +262,14 @@ def route(
     from policies.cli.progress import waiting
 
     results_alone()
-    if router.endswith(".pt"):
+    policy = None if router in router_names() else policy_file(Path(router))
+    if policy is not None:
         from policies.learned.policy import TrainedPolicy  # torch
 
         check("--checkpoint", checkpoint is None, f"none beside --router {router}")
-        checkpoint = Path(router)
-        router = TrainedPolicy.load(checkpoint, problem.stem).learner
+        checkpoint, router = policy, TrainedPolicy.load(policy, problem.stem).learner
+    elif checkpoint is not None:
+        checkpoint = policy_file(checkpoint) or checkpoint
     learner = is_learner(router, "--router")
     if checkpoint and not learner:
         expected = " or ".join(names("learner"))

@@ -13,7 +13,7 @@ from marouting.files import check_apart, check_writable, is_dir, stem_of, suffix
 from marouting.rules import TurnOrder
 from policies.cli.options import FILE, allow_code_option, json_option, tell
 from policies.cli.source import problem_argument
-from policies.results.run_folder import solutions_by_name
+from policies.results.run_folder import policy_file, solutions_by_name
 from policies.routers.registry import labelled, router_label
 
 if TYPE_CHECKING:
@@ -74,6 +74,8 @@ def view(
     from policies.figures.view import page
 
     kind = suffix_of(out)
+    if checkpoint is not None:
+        checkpoint = policy_file(checkpoint) or checkpoint
     if solutions and checkpoint:
         raise InputError("view: expected only one of SOLUTION and --checkpoint")
     moving = {"--checkpoint": checkpoint, "--turn-order": turn_order, "--frames": frames}

@@ -38,10 +38,9 @@ from policies.experiment.played import PLANNER, UNLEARNED, About
 from policies.experiment.result import Outcome, Result, Scale, Task
 from policies.results.rows import Row
 from policies.results.run_folder import (
-    CHECKPOINT,
     EVALUATIONS,
     METRICS,
-    POLICY,
+    policy_file,
     read_episodes,
     read_evaluations,
 )
@@ -96,10 +95,10 @@ def from_text(
 
     Args:
         text: the name of a router or a learner, or ``module:Class``, each with options after it
-            (``astar best_of=16 target=tree``); the file of a trained policy or the run
-            folder of a training, of which there is one for each seed where ``{seed}`` stands in the
-            name; a folder of solutions; or a CSV file with overflow and wirelength of solutions
-            that are not at hand.
+            (``astar best_of=16 target=tree``; a folder of that name is ``./astar``); the file of a
+            trained policy or the run folder of a training, of which there is one for each seed
+            where ``{seed}`` stands in the name; a folder of solutions; or a CSV file with overflow
+            and wirelength of solutions that are not at hand.
         name: what tables call it; None: the router and its options, or the name of the file.
         budget: the budget, applied to the options where they do not say otherwise.
         scenario: on whose training problems it is trained if it is a learner; None: on each
@@ -111,17 +110,17 @@ def from_text(
     raw: dict[str, Any]
     check("--router", text.strip(), "a name, a file or a folder, found nothing")
     path = Path(text.replace(SEED, "0"))
-    trained = next((path / name for name in (POLICY, CHECKPOINT) if is_file(path / name)), None)
-    if trained is not None:
-        raw = {"router": _learner_of(trained), "checkpoint": str(Path(text) / trained.name)}
-        called = Path(text).absolute().name.replace(SEED, "")
-    elif is_dir(path):
-        raw, called = {"router": SOLUTIONS, "folder": text}, path.resolve().name
-    elif is_file(path) and suffix_of(path) == ".csv":
+    is_name = text in router_names()
+    policy = None if is_name else policy_file(path)
+    if is_file(path) and suffix_of(path) == ".csv":
         raw, called = {"router": PUBLISHED, "file": text}, stem_of(path)
-    elif is_file(path):
-        raw = {"router": _learner_of(path), "checkpoint": text}
-        called = Path(text).stem.replace(SEED, "")
+    elif policy is not None:
+        file = Path(text) / policy.relative_to(path)  # with {seed} in its name
+        raw = {"router": _learner_of(policy), "checkpoint": str(file)}
+        called = file.stem if policy == path else file.absolute().parent.name
+        called = called.replace(SEED, "")
+    elif is_dir(path) and not is_name:
+        raw, called = {"router": SOLUTIONS, "folder": text}, path.resolve().name
     else:
         try:
             router, *options = shlex.split(text)

@@ -129,6 +129,9 @@ class Part:
                 rows = [self._route(name) for name in self.problems]
         except InputError as error:
             raise InputError(f"{self.set}, {self.label}: {error}") from None
+        except Exception as error:  # of the user's code: a traceback shows where
+            error.add_note(f"while {self.label} worked on {self.set}")
+            raise
         about = {"set": self.set, "router": self.entry.name, "kind": self.entry.router}
         full = [{**dict.fromkeys(COLUMNS), **row, **about, "seed": self.seed} for row in rows]
         write_text(self.rows, json.dumps(full, indent=1) + "\n")

@@ -24,7 +24,7 @@ from typing import Annotated, TypeVar
 
 from marouting import InputError
 from marouting.config import between, build_json, check
-from marouting.files import plain_name, read_text, stem_of, suffix_of
+from marouting.files import is_file, plain_name, read_text, stem_of, suffix_of
 from policies.results.rows import (
     MOST_BYTES,
     Count,
@@ -42,6 +42,14 @@ POLICY, RESULT = "policy.pt", "result.json"
 
 
 Line = TypeVar("Line")
+
+
+def policy_file(path: Path) -> Path | None:
+    """The file of a trained policy that a path names: itself, or the one in a run folder."""
+    for inside in (path / POLICY, path / CHECKPOINT):
+        if is_file(inside):
+            return inside
+    return path if is_file(path) or path.suffix == ".pt" else None
 
 
 def solution_file(folder: Path, problem: str, router: str) -> Path:
