@@ -5,11 +5,13 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any, get_args
 
-from marouting.config import check, read_yaml, unknown_key
+from marouting.config import check
 from marouting.env.single import GlobalRoutingSingle
 from marouting.errors import InputError
+from marouting.old_names import unknown_key
 from marouting.options import Agents, EnvOptions, with_suggestions
 from marouting.registry import allowing_code
+from marouting.yaml_files import read_yaml
 
 OPTIONS = tuple(field.name for field in fields(EnvOptions))
 """The keys of ``env``."""

@@ -5,14 +5,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
-from marouting.config import Named, build, check, merged, piece_field, take_pieces, unknown_key
+from marouting.config import Named, build, check, piece_field, take_pieces
 from marouting.errors import InputError, UnknownOption
 from marouting.generator import GeneratorOptions
+from marouting.old_names import unknown_key
 from marouting.problem.controls import ProblemFile
 from marouting.rules import Agents as Agents
 from marouting.rules import Rules, TurnOrder
 from marouting.scenarios import Scenario, Split, load, names
 from marouting.scenarios.scenario import PLAYED as PLAYED
+from marouting.yaml_files import merged
 
 RenderMode = Literal["ansi", "rgb_array", "human"]
 

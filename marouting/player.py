@@ -4,41 +4,17 @@ With the paper's observation and a built-in reward, a whole step is one compiled
 observation, the moves of a step are one compiled call, and the observation is called at most twice:
 for the final observations of tasks and turns that end, and then for all rows. With a reward of your
 own, moves are made one by one, and the reward is called after each of them.
-
-:class:`StepBuffers` holds what a learner needs: which tasks ended in the step, and how; the final
-observation of a task, from which to bootstrap; and, on request, only the row of the agent whose
-turn it is. The transition of a row that ``acted`` leads from the ``obs`` before the step to
-``final_obs`` if the task ended or the row now belongs to another agent, and otherwise to the
-``obs`` after the step.
 """
 
 import copy
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.batch.bits import copy_row
 from marouting.batch.engine import Engine
-from marouting.batch.observation import paper_reward, see_paper, write_paper
-from marouting.batch.payment import move_and_pay
-from marouting.batch.rules import (
-    clear_problem,
-    free_moves,
-    may_move,
-    move_agent,
-    move_everyone,
-    move_of,
-    move_player,
-    pass_turn,
-    reset_problem,
-    settle_agent,
-    settle_turns,
-    write_moves,
-)
-from marouting.batch.setup import Make, zeros
-from marouting.batch.state import GAME, MASKS, Dynamic, Option, Static
+from marouting.batch.observation import see_paper
+from marouting.batch.state import Dynamic, Option
 from marouting.config import check
 from marouting.game import (
     ACTIVE,
@@ -46,14 +22,10 @@ from marouting.game import (
     GOES_ON,
     NOBODY,
     Crossing,
-    Ending,
-    Status,
 )
-from marouting.kernels import as_index, compiled, i64, inlined, specialised
-from marouting.memory import check_memory
+from marouting.kernels import specialised
 from marouting.observations import (
     Observation,
-    PaperObservation,
     has_form,
     has_move_order,
     move_order_of,
@@ -63,129 +35,24 @@ from marouting.observations import (
 from marouting.options import FORMS
 from marouting.problem.grid import MOVES
 from marouting.registry import is_ours
-from marouting.rewards import Prices, Reward, Share, paid_by, prices_of
+from marouting.rewards import Reward, paid_by
 from marouting.source import ProblemSampler
-
-COMPILES = "the batch of games", 8
+from marouting.step import (
+    ALL,
+    NOT,
+    TURNS,
+    Earlier,
+    FastPath,
+    StepBuffers,
+    list_arrived,
+    move_games,
+    move_next,
+    play,
+    settle_games,
+    settle_movers,
+)
 
 _STAYED = Crossing.NONE.value
-
-
-class StepBuffers(NamedTuple):
-    """The input and output of a step of M problems, with K rows each.
-
-    There is a row for every agent (K = N), or one for the agent whose turn it is (K = 1).
-    ``final_obs`` and ``final_mask`` are only written where ``obs`` no longer shows the result of
-    the move: where the task ended, or where the row now belongs to another agent.
-    """
-
-    agents: NDArray[np.int32]  # (M, K) the agent of each row, or NOBODY
-    obs: NDArray[np.float32]  # (M, K, *S) what it sees now; zeros for NOBODY
-    mask: NDArray[np.int8]  # (M, K, A) its moves that cross an edge now; never all zero
-    actions: NDArray[np.int16]  # (M, K) input: the moves to make; NOBODY: no move
-    acted: NDArray[np.bool_]  # (M, K) whether the row's agent moved in the step
-    reward: NDArray[np.float32]  # (M, K) what the step paid it; if K = 1, all agents together
-    ending: NDArray[np.int8]  # (M, K) Ending of the agent's task in the step
-    final_obs: NDArray[np.float32]  # (M, K, *S) what the agent saw where it arrived
-    final_mask: NDArray[np.int8]  # (M, K, A) likewise
-    terminated: NDArray[np.bool_]  # (M, K) all tasks of the agent are joined
-    truncated: NDArray[np.bool_]  # (M, K) all tasks of the agent have ended, and some failed
-    active: NDArray[np.bool_]  # (M, K) rows whose agent still routes, also if it waits for its turn
-    over: NDArray[np.bool_]  # (M,) episodes that ended in the step
-    total: NDArray[np.float64]  # (M,) rewards of all agents in the episode so far
-    final: NDArray[Any]  # (M,) GAME at the end of the problem's last episode
-
-    @classmethod
-    def of(
-        cls,
-        problems: int,
-        rows: int,
-        shape: tuple[int, ...],
-        actions: int = MOVES,
-        make: Make | None = None,
-    ) -> "StepBuffers":
-        """New buffers, made by ``make``; None: on the processor.
-
-        Raises:
-            InputError: they would take too much memory.
-        """
-        if make is None:
-            size = math.prod(shape)
-            bytes_of_obs = 2 * np.dtype(np.float32).itemsize * problems * rows * size
-            check_memory(bytes_of_obs, "{} observations of {} numbers", problems * rows, size)
-            make = zeros
-        each = problems, rows
-        buffers = cls(
-            agents=make("agents", each, np.int32),
-            obs=make("obs", (*each, *shape), np.float32),
-            mask=make("mask", (*each, actions), np.int8),
-            actions=make("actions", each, np.int16),
-            acted=make("acted", each, np.bool_),
-            reward=make("reward", each, np.float32),
-            ending=make("ending", each, np.int8),
-            final_obs=make("final_obs", (*each, *shape), np.float32),
-            final_mask=make("final_mask", (*each, actions), np.int8),
-            terminated=make("terminated", each, np.bool_),
-            truncated=make("truncated", each, np.bool_),
-            active=make("active", each, np.bool_),
-            over=make("over", (problems,), np.bool_),
-            total=make("total", (problems,), np.float64),
-            final=make("final", (problems,), GAME),
-        )
-        buffers.agents[:] = buffers.actions[:] = NOBODY
-        buffers.mask[:] = buffers.final_mask[:] = 1
-        return buffers
-
-
-class FastPath(NamedTuple):
-    """What the compiled step has to know about the pieces."""
-
-    everyone: bool  # whether all agents have a row, or only the one whose turn it is
-    observation: bool  # whether the observation is the paper's
-    reward: bool  # whether the reward is nothing but the following prices
-    shares: bool | None  # True: prices beside the table, which only pays the agent that moves.
-    # None, not False: numba then compiles the check away
-    via_capacity: float  # see PaperObservation
-    table: NDArray[np.float32]  # (5, 3) see marouting.rewards.Prices
-    overflow_price: float  # see Prices.added_overflow
-    prices: NDArray[np.float64]  # (4, 3) see Prices.shared
-    cells: NDArray[np.int32]  # (M, 2, G) to work with, if failed tasks are charged for; else G = 0
-
-    @classmethod
-    def of(
-        cls,
-        shape: tuple[int, int],
-        observation: Observation,
-        reward: Reward,
-        *,
-        everyone: bool,
-        make: Make = zeros,
-    ) -> "FastPath":
-        """What the compiled step of M games on G Gcells (shape) has to know about these pieces."""
-        paper = type(observation) is PaperObservation
-        looks: Any = observation if paper else PaperObservation()
-        prices = prices_of(reward)
-        known = Prices.of() if prices is None else prices
-        charges = known.shared[Share.OTHERS, 1] != 0
-        return cls(
-            everyone=everyone,
-            observation=paper,
-            reward=prices is not None,
-            shares=True if known.shared.any() else None,
-            via_capacity=looks.via_capacity,
-            table=known.table.astype(np.float32),
-            overflow_price=float(known.added_overflow),
-            prices=known.shared,
-            cells=make("cells", (shape[0], 2, shape[1] * charges), np.int32),
-        )
-
-
-class Earlier(NamedTuple):
-    """The games before a move, as rewards see them; see :class:`marouting.columns.Before`."""
-
-    agents: NDArray[Any]  # (M, N) AGENT
-    games: NDArray[Any]  # (M,) GAME
-    remaining: NDArray[np.int32]  # (M, E)
 
 
 class Saved(NamedTuple):
@@ -278,15 +145,15 @@ class Player:
             self._arrived = now._replace(agents=now.agents.copy(), sets=now.sets.copy())
             self._mirror_games()
         if self.compiled:
-            self._step = specialised(_play, *self._arguments, True, True)
+            self._step = specialised(play, *self._arguments, True, True)
             return
         nobody, nowhere = np.zeros(len(buffers.over), np.bool_), engine.games["agent"].copy()
-        self._settle = specialised(_settle_and_show, *self._arguments, nobody, nowhere, NOT)
+        self._settle = specialised(settle_games, *self._arguments, nobody, nowhere, NOT)
         # Problems, agents and rows of those that have arrived.
         self._places = tuple(np.zeros(buffers.agents.size, np.int32) for _ in range(3))
-        self._list_arrived = specialised(_list_arrived, *self._arguments, nowhere, *self._places)
+        self._list_arrived = specialised(list_arrived, *self._arguments, nowhere, *self._places)
         if not own_reward:
-            self._move = specialised(_move_and_pay, *self._arguments, nobody)
+            self._move = specialised(move_games, *self._arguments, nobody)
 
     def reset(self, which: NDArray[np.bool_] | None = None) -> None:
         """Starts the episodes of all problems, or of those where ``which`` (M,) is true."""
@@ -467,7 +334,7 @@ class Player:
         else:
             self._move_by_turns(self._before, begins, asked)
             self._look_back(asked)
-            self._settle(*self._arguments, begins, asked, _TURNS)
+            self._settle(*self._arguments, begins, asked, TURNS)
             if engine.static.options[Option.ROUNDS]:
                 self._mirror((engine.games["ripped"] | engine.games["asked"]) != 0)
             else:
@@ -487,10 +354,10 @@ class Player:
         known = engine.static, engine.dynamic
         for k in range(engine.nets.shape[1] if self.everyone else 1):
             movers, moves = np.empty(len(begins), np.int32), np.empty(len(begins), np.int16)
-            if not _move_next(*known, self.everyone, k, b.actions, begins, alone, movers, moves):
+            if not move_next(*known, self.everyone, k, b.actions, begins, alone, movers, moves):
                 continue
             paid += paid_by(self.reward, engine, before, movers)
-            _settle_movers(*known, before, movers, moves, self._arrived)
+            settle_movers(*known, before, movers, moves, self._arrived)
             if engine.static.extended:
                 # More may have changed than one edge of one net.
                 mover = engine.agents[np.arange(len(movers)), movers]
@@ -570,292 +437,3 @@ def _picked(order: NDArray[np.int64], moves: NDArray[np.integer]) -> NDArray[np.
     """(M, K) the entries of orders (M, K, A) at moves (M, K); no move stays none."""
     found = np.take_along_axis(order, np.maximum(moves, 0)[..., None].astype(np.int64), -1)
     return np.where(moves == NOBODY, NOBODY, found[..., 0]).astype(np.int16)
-
-
-@inlined
-def _ends(
-    static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int, row: int
-) -> Any:
-    """Whether a row gets a final observation: a task has ended, or the turn passes to others."""
-    if b.ending[m, row] != Ending.NONE:
-        return True
-    turns = not (fast.everyone or static.sequential) and dynamic.games[m].active > 1
-    return turns and b.acted[m, row]
-
-
-@compiled
-def _list_arrived(
-    static: Static,
-    dynamic: Dynamic,
-    b: StepBuffers,
-    fast: FastPath,
-    asked: Any,
-    problems: Any,
-    agents: Any,
-    rows: Any,
-) -> int:
-    """Lists the agents that get a final observation; returns how many they are."""
-    count = 0
-    for m in range(len(asked)):
-        for row in range(b.agents.shape[1]):
-            if _ends(static, dynamic, b, fast, m, row):
-                problems[count] = m
-                agents[count] = row if fast.everyone else asked[m]
-                rows[count] = m * b.agents.shape[1] + row
-                count += 1
-    return count
-
-
-@compiled
-def _move_next(
-    static: Static,
-    dynamic: Dynamic,
-    everyone: bool,
-    k: int,
-    actions: Any,
-    begins: Any,
-    alone: Any,
-    movers: Any,
-    moves: Any,
-) -> bool:
-    """The k-th moves of a step: fills in who moves, or NOBODY, and how; whether anybody does."""
-    found = False
-    for m in range(len(begins)):
-        n = i64(static.order[m, k] if everyone else dynamic.games[m].agent)
-        movers[m] = moves[m] = NOBODY
-        if n == NOBODY or begins[m]:
-            continue
-        move = i64(actions[m, n if everyone else 0])
-        if may_move(dynamic, m, as_index(n), alone[m], move):
-            movers[m], moves[m], found = n, move, True
-            move_agent(static, dynamic, m, as_index(n), as_index(move))
-    return found
-
-
-@compiled
-def _settle_movers(
-    static: Static, dynamic: Dynamic, before: Earlier, movers: Any, moves: Any, arrived: Dynamic
-) -> None:
-    """Settles the agents that moved, records where they arrived, and updates ``before``."""
-    for m in range(len(movers)):
-        if movers[m] == NOBODY:
-            continue
-        n = as_index(movers[m])
-        move = min(move_of(static, i64(moves[m])), MOVES - 1)
-        edge = as_index(static.edge[as_index(before.agents[m, n].cell), as_index(move)])
-        arrived.agents[m, n] = dynamic.agents[m, n]
-        for option in range(Option.VISITED, Option.TRIED + 1):
-            if static.options[option] >= 0 and option != Option.KEPT:
-                row = as_index(static.options[option] + n)
-                copy_row(arrived.sets, m, row, dynamic.sets, m, row)
-        settle_agent(static, dynamic, m, n)
-        before.remaining[m, edge] = dynamic.remaining[m, edge]
-        before.agents[m, n] = dynamic.agents[m, n]
-        before.games[m] = dynamic.games[m]
-
-
-# --- what a step writes ---------------------------------------------------------------------------
-
-_MASKS = MASKS.view(np.int16)
-"""(64, 3) int16, :data:`marouting.batch.state.MASKS` in pairs of bytes."""
-
-
-@inlined
-def _free(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
-    """The moves of an agent that cross an edge, one bit per move; none for NOBODY."""
-    free = i64(0)
-    if n != NOBODY:
-        free = free_moves(static, dynamic, m, as_index(n))
-    return free
-
-
-@inlined
-def _write_mask(static: Static, mask: Any, m: int, row: int, free: int) -> None:
-    """Writes a mask, in bytes or in pairs of bytes."""
-    if mask.shape[2] >= MOVES:
-        write_moves(static, free, mask[m], row)
-        return
-    for pair in range(_MASKS.shape[1]):
-        mask[m, row, pair] = _MASKS[free, pair]
-
-
-@inlined
-def _look(
-    static: Static, dynamic: Dynamic, fast: FastPath, m: int, n: int, obs: Any, mask: Any, row: int
-) -> None:
-    """Writes what an agent sees; zeros and a mask of ones for NOBODY."""
-    free = _free(static, dynamic, m, n)
-    write_paper(static, dynamic, fast.via_capacity, m, n, obs[m], row)
-    _write_mask(static, mask, m, row, free)
-
-
-@inlined
-def _make_moves(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
-    """The moves of a step of one problem, before anybody settles."""
-    if fast.shares is not None:
-        move_and_pay(static, dynamic, fast, m, b.actions, b.reward)
-    elif fast.everyone:
-        move_everyone(static, dynamic, m, b.actions)
-    else:
-        move_player(static, dynamic, m, i64(b.actions[m, 0]))
-
-
-@inlined
-def _take_stock(dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int, n: int, row: int) -> Any:
-    """Writes the result of an agent's move; returns the reward."""
-    agent = dynamic.agents[m, n]
-    b.acted[m, row] = agent.crossing != Crossing.NONE
-    b.ending[m, row] = agent.ending
-    if fast.shares is None:
-        b.reward[m, row] = paper_reward(fast.table, fast.overflow_price, agent)
-    return b.reward[m, row]
-
-
-@inlined
-def start_game(static: Static, dynamic: Dynamic, b: StepBuffers, m: int) -> None:
-    """Starts an episode of a problem that is cleared, in which nobody has acted yet."""
-    reset_problem(static, dynamic, m)
-    b.over[m] = False
-    b.total[m] = 0
-    for row in range(b.agents.shape[1]):
-        b.acted[m, row] = b.terminated[m, row] = b.truncated[m, row] = False
-        b.reward[m, row] = 0
-        b.ending[m, row] = Ending.NONE
-
-
-@inlined
-def _finish(b: StepBuffers, m: int, playing: bool, game: Any) -> None:
-    """After a step: records whether the episode has ended with it, and how."""
-    b.over[m] = playing and game.active == 0
-    if b.over[m]:
-        b.final[m].overflow = game.overflow
-        b.final[m].wirelength = game.wirelength
-        b.final[m].joined = game.joined
-        b.final[m].steps = game.steps
-
-
-# --- with any observation, the parts of a step ----------------------------------------------------
-
-
-@inlined
-def move_game(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
-    """The moves of a step of one problem and what is paid for them, before anybody settles."""
-    _make_moves(static, dynamic, b, fast, m)
-    for row in range(b.agents.shape[1]):
-        n = i64(row) if fast.everyone else i64(dynamic.games[m].agent)
-        if n == NOBODY or dynamic.agents[m, as_index(n)].status == Status.ABSENT:
-            b.acted[m, row] = False
-            b.reward[m, row] = 0
-            b.ending[m, row] = Ending.NONE
-        else:
-            b.total[m] += _take_stock(dynamic, b, fast, m, as_index(n), row)
-
-
-@compiled
-def _move_and_pay(
-    static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, begins: Any
-) -> None:
-    """:func:`move_game` in all problems whose episode does not begin."""
-    for m in range(len(begins)):
-        if not begins[m]:
-            move_game(static, dynamic, b, fast, m)
-
-
-NOT, _TURNS, ALL = 0, 1, 2
-"""What is to be settled at the end of a step: nothing, whose turn it is, or all that agents do."""
-
-
-@inlined
-def settle_game(
-    static: Static,
-    dynamic: Dynamic,
-    b: StepBuffers,
-    fast: FastPath,
-    m: int,
-    asked: int,
-    what: int,
-) -> None:
-    """The end of a step of one problem, whose turn was that of ``asked``."""
-    game = dynamic.games[m]
-    if what != NOT:
-        if fast.everyone:
-            if what == ALL:
-                for n in range(b.agents.shape[1]):
-                    settle_agent(static, dynamic, m, n)
-            settle_turns(static, dynamic, m)
-        elif asked != NOBODY:
-            if what == ALL:
-                settle_agent(static, dynamic, m, as_index(asked))
-            pass_turn(static, dynamic, m)
-        acted = False
-        for row in range(b.agents.shape[1]):
-            acted |= b.acted[m, row]
-        _finish(b, m, acted, game)
-    if not fast.everyone:
-        b.agents[m, 0] = game.agent
-    for row in range(b.agents.shape[1]):
-        n = i64(row) if fast.everyone else i64(asked)
-        if n != NOBODY:  # once a game is over, these stay as its last move left them
-            status = dynamic.agents[m, as_index(n)].status
-            b.terminated[m, row] = status == Status.TERMINATED
-            b.truncated[m, row] = status == Status.TRUNCATED
-        n = i64(b.agents[m, row])
-        b.active[m, row] = n != NOBODY and dynamic.agents[m, as_index(n)].status == Status.ACTIVE
-
-
-@inlined
-def write_mask(static: Static, dynamic: Dynamic, mask: Any, m: int, n: int, row: int) -> None:
-    """Writes the moves of an agent that cross an edge; ones for NOBODY."""
-    _write_mask(static, mask, m, row, _free(static, dynamic, m, n))
-
-
-@compiled
-def _settle_and_show(
-    static: Static,
-    dynamic: Dynamic,
-    b: StepBuffers,
-    fast: FastPath,
-    begins: Any,
-    asked: Any,
-    what: int,
-) -> None:
-    """:func:`settle_game` in all problems, and the masks."""
-    for m in range(len(begins)):
-        settle_game(
-            static, dynamic, b, fast, m, i64(asked[m]), i64(NOT) if begins[m] else i64(what)
-        )
-        for row in range(b.agents.shape[1]):
-            write_mask(static, dynamic, b.mask, m, i64(b.agents[m, row]), i64(row))
-
-
-# --- the paper's observation and a built-in reward ------------------------------------------------
-
-
-@inlined
-def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
-    """A whole step of one problem."""
-    asked = i64(dynamic.games[m].agent)
-    move_game(static, dynamic, b, fast, m)
-    for row in range(b.agents.shape[1]):
-        if _ends(static, dynamic, b, fast, m, row):
-            n = i64(row) if fast.everyone else asked
-            _look(static, dynamic, fast, m, n, b.final_obs, b.final_mask, i64(row))
-    settle_game(static, dynamic, b, fast, m, asked, i64(ALL))
-    for row in range(b.agents.shape[1]):
-        _look(static, dynamic, fast, m, i64(b.agents[m, row]), b.obs, b.mask, i64(row))
-
-
-@compiled
-def _play(
-    static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, steps: bool, restarts: bool
-) -> None:
-    """Steps and restarts of all problems."""
-    for m in range(len(b.over)):
-        if restarts and b.over[m]:
-            clear_problem(static, dynamic, m, i64(0), i64(1))
-            start_game(static, dynamic, b, m)
-            settle_game(static, dynamic, b, fast, m, i64(NOBODY), i64(NOT))
-            for row in range(b.agents.shape[1]):
-                _look(static, dynamic, fast, m, i64(b.agents[m, row]), b.obs, b.mask, i64(row))
-        elif steps:
-            step_problem(static, dynamic, b, fast, m)

@@ -21,12 +21,13 @@ from marouting.config import build, check
 from marouting.errors import InputError
 from marouting.observations import Observation, space_of, state_of, state_space_of
 from marouting.options import GameOptions, game_options
-from marouting.player import Player, StepBuffers
+from marouting.player import Player
 from marouting.problem.net import is_whole
 from marouting.problem.problem import Problem
 from marouting.rules import Mask
 from marouting.scenarios import get
 from marouting.source import OTHER_GAME, ProblemSampler, ProblemStream, Source, checked_seed
+from marouting.step import StepBuffers
 
 FIGURES = ("overflow", "wirelength", "joined", "steps")
 

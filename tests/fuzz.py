@@ -46,9 +46,10 @@ from test_rows import DRAWN, READ
 from test_run import config_in
 
 from marouting import InputError, Net, Pin, Problem, Solution, errors, evaluate, sequential_astar
-from marouting.config import build, override, plain, read_yaml
+from marouting.config import build, plain
 from marouting.problem.contest import contest_cost
 from marouting.problem.ispd import Format
+from marouting.yaml_files import override, read_yaml
 from policies import figures
 from policies.experiment import Experiment, ExperimentConfig, experiment, load_experiment
 from policies.experiment.leaderboard import read_groups

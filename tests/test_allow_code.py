@@ -12,8 +12,9 @@ import torch
 
 import marouting
 from marouting import InputError
-from marouting.config import build, code_named, piece_field, read_yaml, take_pieces, yaml_text
+from marouting.config import build, code_named, piece_field, take_pieces
 from marouting.registry import allowing_code, code_allowed, importing_from
+from marouting.yaml_files import read_yaml, yaml_text
 from policies.cli.main import status
 from policies.experiment import Experiment, load_experiment
 from policies.generalist import SHIPPED

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from marouting import Adjustment, InputError, Net, Pin, Problem, Solution
-from marouting.config import parse_yaml, read_yaml
 from marouting.files import LONGEST_LINE
+from marouting.yaml_files import parse_yaml, read_yaml
 from policies.results import rows, run_folder
 from policies.results.rows import read_rows
 from policies.results.run_folder import read_rewards

@@ -28,7 +28,8 @@ from test_bad_files import GR
 
 import marouting
 from marouting import EnvOptions, Field, InputError, Problem, Solution, evaluate, generate
-from marouting.config import override, plain, read_yaml
+from marouting.config import plain
+from marouting.yaml_files import override, read_yaml
 from policies.cli.main import cli, status
 from policies.cli.tables import show, show_experiment
 from policies.experiment import ExperimentConfig, load_experiment

@@ -23,11 +23,12 @@ from marouting import (
     global_routing_v0,
     sequential_astar,
 )
-from marouting.config import plain, yaml_text
+from marouting.config import plain
 from marouting.game import Game
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.rules import Rules
 from marouting.source import fixed_problems, load_problem
+from marouting.yaml_files import yaml_text
 from policies.cli.main import status
 from policies.experiment.config import load_set
 from policies.learned.config import load_config

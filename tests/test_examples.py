@@ -15,8 +15,8 @@ from conftest import some_slow
 
 import marouting
 from marouting import registry
-from marouting.config import config_file, read_yaml
 from marouting.scenarios.references import path_of
+from marouting.yaml_files import config_file, read_yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "docs" / "examples"

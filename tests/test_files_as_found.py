@@ -14,9 +14,9 @@ from test_bad_files import GR, SOLUTION
 from test_ispd2024 import CAP, NET, ROUTES
 
 from marouting import InputError, Problem, Solution
-from marouting.config import read_yaml
 from marouting.files import beside, read_text, stem_of, suffix_of
 from marouting.source import load_problems
+from marouting.yaml_files import read_yaml
 from policies.cli.main import status
 from policies.figures.plot import plot
 from policies.results.rows import read_published

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import marouting
 from marouting import InputError
-from marouting.config import merged, origins_of, read_yaml
+from marouting.yaml_files import merged, origins_of, read_yaml
 from policies.cli.main import status
 from policies.experiment import load_experiment
 from policies.experiment.benchmark import load_entries

@@ -533,7 +533,7 @@ def test_torchrl_wraps_pettingzoo_only_with_agents_that_persist(interface: str) 
 
 def test_benchmarl_takes_the_task() -> None:
     pytest.importorskip("benchmarl")
-    from marouting.config import config_file
+    from marouting.yaml_files import config_file
     from policies.integrations.benchmarl import RoutingTask
 
     given = {"problem": PROBLEM, "max_steps": 6, "max_cycles": 6}  # an object, as in the recipe

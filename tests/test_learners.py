@@ -23,9 +23,10 @@ from marouting import InputError, PaperObservation, PaperReward, Problem, genera
 from marouting.batch.engine import Engine
 from marouting.config import piece
 from marouting.game import NOBODY, Ending
-from marouting.player import Player, StepBuffers
+from marouting.player import Player
 from marouting.problem.grid import MOVES
 from marouting.rules import TurnOrder
+from marouting.step import StepBuffers
 from marouting.vector import BatchEnv
 from policies.learned.algorithms.dqn import DQN, DQNOptions
 from policies.learned.algorithms.fused_dqn import FusedDQN, obstacle

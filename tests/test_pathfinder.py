@@ -32,10 +32,11 @@ from marouting import (
     generate,
     sequential_astar,
 )
-from marouting.config import build, piece, read_yaml
+from marouting.config import build, piece
 from marouting.problem.contest import contest_cost
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.trees.steiner import EXACT_PINS
+from marouting.yaml_files import read_yaml
 from policies.bench.chips import write_contest
 from policies.routers.base import Router
 from policies.routers.pathfinder import (

@@ -9,7 +9,7 @@ import pytest
 
 import marouting
 from marouting import InputError, Problem, Solution, global_routing_v0
-from marouting.config import read_yaml
+from marouting.yaml_files import read_yaml
 from policies.cli.main import status
 from policies.experiment import Experiment, load_experiment
 from policies.experiment.benchmark import from_text, load_entries

@@ -38,7 +38,7 @@ from marouting import (
     scenarios,
     sequential_astar,
 )
-from marouting.config import build, parse_yaml
+from marouting.config import build
 from marouting.gym_vector import GlobalRoutingVector
 from marouting.registry import importing_from
 from marouting.scenarios import (
@@ -53,6 +53,7 @@ from marouting.scenarios import (
 from marouting.scenarios.references import Best, path_of, read_references, references_in
 from marouting.source import load_problem
 from marouting.vector import BatchEnv
+from marouting.yaml_files import parse_yaml
 from policies.cli.main import status
 from policies.experiment import anarchy
 from policies.experiment.leaderboard import read_groups

@@ -38,13 +38,13 @@ from marouting.cuda.games import (
 from marouting.game import NOBODY
 from marouting.kernels import mixed
 from marouting.observations import Observation, PaperObservation, space_of, state_space_of
-from marouting.player import FastPath, StepBuffers
 from marouting.problem.grid import AXES, VIA_AXIS, Grid
 from marouting.problem.net import is_whole
 from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
 from marouting.rewards import prices_of
 from marouting.source import OTHER_GAME, ProblemStream, Source, generated_name
+from marouting.step import FastPath, StepBuffers
 from marouting.vector import (
     FIGURES,
     BatchEnv,

@@ -37,7 +37,7 @@ from marouting.batch.window_rows import Where, count_heads, write_window
 from marouting.errors import InputError
 from marouting.game import NOBODY, Ending
 from marouting.kernels import i64, mixed
-from marouting.player import (
+from marouting.step import (
     ALL,
     NOT,
     FastPath,

@@ -158,7 +158,8 @@ def benchmark(
         return
 
     from marouting import scenarios
-    from marouting.config import build, check, override
+    from marouting.config import build, check
+    from marouting.yaml_files import override
     from policies.cli.progress import problems_bar
     from policies.cli.resolved import check_kind
     from policies.cli.tables import show_benchmark

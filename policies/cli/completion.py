@@ -11,8 +11,9 @@ import click
 from click.shell_completion import CompletionItem
 
 from marouting import InputError
-from marouting.config import build, leaves, plain, read_yaml
+from marouting.config import build, plain
 from marouting.files import is_dir
+from marouting.yaml_files import leaves, read_yaml
 
 Complete = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
 

@@ -27,7 +27,7 @@ except ImportError:  # pragma: no cover - the command line needs the extra
     sys.exit("marouting: the command line needs more packages: pip install 'marouting[learn]'")
 
 from marouting import InputError, ProblemFile, Solution, __version__, evaluate
-from marouting.config import check, code_named, override, read_yaml
+from marouting.config import check, code_named
 from marouting.files import (
     check_apart,
     check_suffix,
@@ -42,6 +42,7 @@ from marouting.problem.guides import check_guide, read_record
 from marouting.problem.ispd import FORMATS, Format
 from marouting.problem.solution import ROUTE_FORMATS, RouteFormat
 from marouting.registry import importing_from, names
+from marouting.yaml_files import override, read_yaml
 from policies.cli.benchmark import benchmark
 from policies.cli.completion import file_or_keys, keys_of, options_of_the_router, routers
 from policies.cli.options import (

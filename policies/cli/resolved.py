@@ -7,23 +7,18 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin
 
-from marouting.config import (
+from marouting.config import Component, Keys, attributes, build, hints_of, plain
+from marouting.errors import InputError
+from marouting.registry import allowing_code, names
+from marouting.yaml_files import (
     INCLUDE,
-    Component,
-    Keys,
-    attributes,
-    build,
-    hints_of,
     leaves,
     origins_of,
     override,
     parse_yaml,
-    plain,
     read_yaml,
     yaml_line,
 )
-from marouting.errors import InputError
-from marouting.registry import allowing_code, names
 
 Origins = dict[Keys, str]
 """Where each value is from, by its key and the keys that lead there."""
@@ -67,7 +62,7 @@ def resolve(
 
     Args:
         path: a YAML file, of a training, an experiment or a benchmark; None: a training without.
-        overrides: ``key=value``, as :func:`marouting.config.override` takes them.
+        overrides: ``key=value``, as :func:`marouting.yaml_files.override` takes them.
 
     Returns:
         All its values as plain data, and where they are from: ``FILE:LINE``, with files named from

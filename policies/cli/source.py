@@ -11,8 +11,9 @@ from typing import Any
 import click
 
 from marouting import Controls, ProblemFile
-from marouting.config import build, override
+from marouting.config import build
 from marouting.errors import InputError
+from marouting.yaml_files import override
 from policies.cli.options import FILE
 
 

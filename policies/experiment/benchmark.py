@@ -20,9 +20,10 @@ from typing import Any
 import numpy as np
 
 from marouting import InputError, __version__, evaluate, scenarios, sequential_astar
-from marouting.config import build, build_json, check, override, read_yaml
+from marouting.config import build, build_json, check
 from marouting.files import is_dir, is_file, read_text, stem_of, suffix_of
 from marouting.scenarios.score import Figures
+from marouting.yaml_files import override, read_yaml
 from policies.engines import EngineName, cores, processor
 from policies.experiment.config import (
     PUBLISHED,
@@ -182,7 +183,7 @@ def load_entries(
 
     Args:
         path: a YAML file.
-        overrides: ``key=value``, as :func:`marouting.config.override` takes them.
+        overrides: ``key=value``, as :func:`marouting.yaml_files.override` takes them.
         budget: what the command line says; None for the configuration's own.
         scenario: on whose training problems learners are trained; None: on each problem.
 

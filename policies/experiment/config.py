@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 from marouting import InputError, Problem, scenarios
-from marouting.config import build, check, merged, override, plain, read_yaml
+from marouting.config import build, check, plain
 from marouting.files import is_dir, is_file_name, naming
 from marouting.options import PLAYED
 from marouting.registry import allowing_code, lookup
 from marouting.source import load_problems, problems_in
+from marouting.yaml_files import merged, override, read_yaml
 from policies.engines import EngineName
 from policies.experiment.played import is_policy
 from policies.learned.config import config_of, for_learner
@@ -418,7 +419,7 @@ def load_experiment(
 
     Args:
         path: a YAML file.
-        overrides: ``key=value``, as :func:`marouting.config.override` takes them.
+        overrides: ``key=value``, as :func:`marouting.yaml_files.override` takes them.
         allow_code: whether the file, and configurations that it names, may name pieces as
             ``module:Class``, which is code that is imported. Overrides always may.
 

@@ -10,21 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from marouting import InputError, Problem, Solution
-from marouting.config import (
-    MOST_TEXT,
-    allowing_code_of,
-    build,
-    build_json,
-    check,
-    check_code,
-    check_same,
-    read_yaml,
-    yaml_text,
-)
+from marouting.config import allowing_code_of, build, build_json, check, check_code
 from marouting.files import FILE_NAME, exists, is_file_name, naming, read_text, write_text
 from marouting.registry import allowing_code, lookup
 from marouting.scenarios import get
 from marouting.source import load_problems
+from marouting.yaml_files import MOST_TEXT, check_same, read_yaml, yaml_text
 from policies.engines import check_engine, cores
 from policies.experiment.config import (
     RULE_COST,

@@ -13,9 +13,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from marouting import InputError, Problem, Solution
-from marouting.config import read_yaml
 from marouting.files import exists, is_dir, reading, stem_of, suffix_of
 from marouting.registry import allowing_code
+from marouting.yaml_files import read_yaml
 from policies import figures
 from policies.results import run_folder
 from policies.results.rows import RESULTS, Row, read_rows

@@ -57,8 +57,9 @@ from benchmarl.models.mlp import MlpConfig
 from torch import nn
 
 from marouting import evaluate_policy, scenarios
-from marouting.config import build, build_json, check, override
+from marouting.config import build, build_json, check
 from marouting.files import read_text, write_text, writing
+from marouting.yaml_files import override
 from policies.command import Command
 from policies.integrations.benchmarl import ROW, Moves, RoutingClass
 from policies.integrations.saved import load

@@ -12,19 +12,11 @@ from typing import Any, Literal
 
 from marouting.batch.prices import Negotiation
 from marouting.checks import check_fields
-from marouting.config import (
-    MOST,
-    Named,
-    build,
-    check,
-    override,
-    piece_field,
-    read_yaml,
-    take_pieces,
-)
+from marouting.config import MOST, Named, build, check, piece_field, take_pieces
 from marouting.options import EnvOptions, with_suggestions
 from marouting.registry import allowing_code, lookup, names
 from marouting.scenarios import get
+from marouting.yaml_files import override, read_yaml
 
 
 @dataclass(frozen=True, kw_only=True)

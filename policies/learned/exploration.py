@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from marouting.game import NOBODY
 from marouting.kernels import compiled
-from marouting.player import StepBuffers
+from marouting.step import StepBuffers
 from policies.learned.counter_rng import uniform
 from policies.learned.per_network import COUNT, PerNetworkState
 

@@ -17,7 +17,7 @@ from typing import Any
 import torch
 
 from marouting import InputError, PolicyResult, Problem, Solution
-from marouting.config import allowing_code_of, check, check_same, plain, read_yaml, yaml_text
+from marouting.config import allowing_code_of, check, plain
 from marouting.files import FILE_NAME, exists, is_file_name, naming, write_text, writing
 from marouting.generator import GeneratorOptions
 from marouting.registry import allowing_code
@@ -29,6 +29,7 @@ from marouting.source import (
     fixed_problems,
     load_problems,
 )
+from marouting.yaml_files import check_same, read_yaml, yaml_text
 from policies.interrupts import ENDING, holding
 from policies.learned.checkpoint import read_checkpoint
 from policies.learned.config import Config, load_config

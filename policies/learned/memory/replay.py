@@ -28,8 +28,8 @@ from torch import Tensor
 
 from marouting.game import Ending
 from marouting.kernels import compiled
-from marouting.player import StepBuffers
 from marouting.problem.grid import MOVES
+from marouting.step import StepBuffers
 from policies.learned.checkpoint import checked
 from policies.learned.counter_rng import uniforms
 from policies.learned.memory.pre_step import PreStep

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from marouting.game import Ending
 from marouting.kernels import compiled
-from marouting.player import StepBuffers
+from marouting.step import StepBuffers
 from policies.learned.counter_rng import uniform
 from policies.learned.memory.pre_step import PreStep
 from policies.learned.per_network import PerNetworkState
