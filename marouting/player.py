@@ -15,6 +15,20 @@ from numpy.typing import NDArray
 from marouting.batch.engine import Engine
 from marouting.batch.observation import see_paper
 from marouting.batch.state import Dynamic, Option
+from marouting.batch.step import (
+    ALL,
+    NOT,
+    TURNS,
+    Earlier,
+    FastPath,
+    StepBuffers,
+    list_arrived,
+    move_games,
+    move_next,
+    play,
+    settle_games,
+    settle_movers,
+)
 from marouting.config import check
 from marouting.game import (
     ACTIVE,
@@ -37,20 +51,6 @@ from marouting.problem.grid import MOVES
 from marouting.registry import is_ours
 from marouting.rewards import Reward, paid_by
 from marouting.source import ProblemSampler
-from marouting.step import (
-    ALL,
-    NOT,
-    TURNS,
-    Earlier,
-    FastPath,
-    StepBuffers,
-    list_arrived,
-    move_games,
-    move_next,
-    play,
-    settle_games,
-    settle_movers,
-)
 
 _STAYED = Crossing.NONE.value
 

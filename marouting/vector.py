@@ -17,6 +17,7 @@ from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
 from marouting.batch.engine import Engine
+from marouting.batch.step import StepBuffers
 from marouting.config import build, check
 from marouting.errors import InputError
 from marouting.observations import Observation, space_of, state_of, state_space_of
@@ -27,7 +28,6 @@ from marouting.problem.problem import Problem
 from marouting.rules import Mask
 from marouting.scenarios import get
 from marouting.source import OTHER_GAME, ProblemSampler, ProblemStream, Source, checked_seed
-from marouting.step import StepBuffers
 
 FIGURES = ("overflow", "wirelength", "joined", "steps")
 

@@ -51,7 +51,6 @@ LAYERS = {
         ("generator",),
         ("scenarios",),
         ("options", "source"),
-        ("step",),
         ("player",),
         ("render",),
         ("env",),

@@ -21,12 +21,12 @@ from torch import Tensor, nn
 
 from marouting import InputError, PaperObservation, PaperReward, Problem, generate
 from marouting.batch.engine import Engine
+from marouting.batch.step import StepBuffers
 from marouting.config import piece
 from marouting.game import NOBODY, Ending
 from marouting.player import Player
 from marouting.problem.grid import MOVES
 from marouting.rules import TurnOrder
-from marouting.step import StepBuffers
 from marouting.vector import BatchEnv
 from policies.learned.algorithms.dqn import DQN, DQNOptions
 from policies.learned.algorithms.fused_dqn import FusedDQN, obstacle

@@ -16,6 +16,7 @@ from marouting.batch.engine import Metrics
 from marouting.batch.expected import new_maps, track_of
 from marouting.batch.setup import dynamic_state, static_state
 from marouting.batch.state import AGENT, GAME, Option, Static
+from marouting.batch.step import FastPath, StepBuffers
 from marouting.batch.window import WindowObservation
 from marouting.config import check
 from marouting.cuda.games import (
@@ -44,7 +45,6 @@ from marouting.problem.problem import Problem
 from marouting.problem.solution import Solution
 from marouting.rewards import prices_of
 from marouting.source import OTHER_GAME, ProblemStream, Source, generated_name
-from marouting.step import FastPath, StepBuffers
 from marouting.vector import (
     FIGURES,
     BatchEnv,

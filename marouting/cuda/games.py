@@ -32,12 +32,7 @@ from marouting.batch.expected import Maps
 from marouting.batch.observation import write_paper, write_state
 from marouting.batch.rules import clear_problem
 from marouting.batch.state import Dynamic, Static
-from marouting.batch.window import write_window_state
-from marouting.batch.window_rows import Where, count_heads, write_window
-from marouting.errors import InputError
-from marouting.game import NOBODY, Ending
-from marouting.kernels import i64, mixed
-from marouting.step import (
+from marouting.batch.step import (
     ALL,
     NOT,
     FastPath,
@@ -47,6 +42,11 @@ from marouting.step import (
     start_game,
     write_mask,
 )
+from marouting.batch.window import write_window_state
+from marouting.batch.window_rows import Where, count_heads, write_window
+from marouting.errors import InputError
+from marouting.game import NOBODY, Ending
+from marouting.kernels import i64, mixed
 
 THREADS = 256
 """Threads of a block."""

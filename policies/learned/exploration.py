@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from marouting.batch.step import StepBuffers
 from marouting.game import NOBODY
 from marouting.kernels import compiled
-from marouting.step import StepBuffers
 from policies.learned.counter_rng import uniform
 from policies.learned.per_network import COUNT, PerNetworkState
 

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from torch import nn
 
 from marouting.batch.state import Dynamic, Option, Static
+from marouting.batch.step import FastPath, StepBuffers, step_problem
 from marouting.kernels import allocating
 from marouting.player import Player
 from marouting.problem.grid import MOVES
-from marouting.step import FastPath, StepBuffers, step_problem
 from policies.generalist.outlook import OutlookObservation
 from policies.generalist.walk import Walker
 from policies.learned.compiled.gradient import q_values, units_of

@@ -23,12 +23,12 @@ from torch import Tensor
 
 from marouting import InputError, Problem, Solution
 from marouting.batch.state import Dynamic
+from marouting.batch.step import StepBuffers
 from marouting.config import check
 from marouting.game import NOBODY
 from marouting.observations import state_space_of
 from marouting.player import Player, Saved
 from marouting.source import ProblemSampler
-from marouting.step import StepBuffers
 from policies.learned.burn_in import GUIDES, guide, read_solutions
 from policies.learned.checkpoint import (
     ANY,

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from marouting.batch.state import Dynamic, Static
+from marouting.batch.step import FastPath, StepBuffers, step_problem
 from marouting.config import check
 from marouting.game import Ending
 from marouting.kernels import allocating, threaded
 from marouting.player import Player
 from marouting.problem.grid import MOVES
-from marouting.step import FastPath, StepBuffers, step_problem
 from policies.learned.algorithms.dqn import DQN, DQNOptions
 from policies.learned.compiled.gradient import (
     Networks,

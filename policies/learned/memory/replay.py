@@ -26,10 +26,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from marouting.batch.step import StepBuffers
 from marouting.game import Ending
 from marouting.kernels import compiled
 from marouting.problem.grid import MOVES
-from marouting.step import StepBuffers
 from policies.learned.checkpoint import checked
 from policies.learned.counter_rng import uniforms
 from policies.learned.memory.pre_step import PreStep

@@ -17,9 +17,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from marouting.batch.step import StepBuffers
 from marouting.game import Ending
 from marouting.kernels import compiled
-from marouting.step import StepBuffers
 from policies.learned.counter_rng import uniform
 from policies.learned.memory.pre_step import PreStep
 from policies.learned.per_network import PerNetworkState
