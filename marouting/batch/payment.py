@@ -1,8 +1,8 @@
 """What a move pays, compiled: any :class:`marouting.rewards.Prices`.
 
-:func:`marouting.rewards.pay_moves` is the same by columns, and the definition. ``fast`` is the
-player's :class:`marouting.batch.step.FastPath`; ``reward`` (M, K) has a row for each agent, or one for
-all agents of a problem.
+:func:`marouting.rewards.pay_moves` is the same by columns, and the definition. ``fast`` is a
+:class:`marouting.batch.step.FastPath`; ``reward`` (M, K) has a row for each agent, or one for all
+agents of a problem.
 """
 
 from typing import Any
