@@ -123,7 +123,7 @@ def stop_before_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("policies.experiment.Experiment", Entries)
     monkeypatch.setattr("policies.experiment.benchmark.Benchmark", Scored)
     monkeypatch.setattr("policies.bench.__main__.run", begins)
-    monkeypatch.setattr("policies.cli.main.warm_up", begins)
+    monkeypatch.setattr("policies.cli.route.warm_up", begins)
     monkeypatch.setattr("policies.figures.plot.plot", drawn)
     monkeypatch.setattr("policies.cli.quickstart.run", begins)
 

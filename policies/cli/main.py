@@ -10,16 +10,12 @@ import contextlib
 import io
 import json
 import os
-import shlex
 import sys
 import threading
-import time
 import warnings
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Sequence
 from pathlib import Path
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 try:
     import click
@@ -27,24 +23,14 @@ except ImportError:  # pragma: no cover - the command line needs the extra
     sys.exit("marouting: the command line needs more packages: pip install 'marouting[learn]'")
 
 from marouting import InputError, ProblemFile, Solution, __version__, evaluate
-from marouting.config import check, code_named
-from marouting.files import (
-    check_apart,
-    check_suffix,
-    check_writable,
-    exists,
-    naming,
-    suffix_of,
-)
+from marouting.files import check_apart, naming
 from marouting.generator import GeneratorOptions
-from marouting.problem.contest import contest_cost, with_pins_covered
-from marouting.problem.guides import check_guide, read_record
 from marouting.problem.ispd import FORMATS, Format
 from marouting.problem.solution import ROUTE_FORMATS, RouteFormat
-from marouting.registry import importing_from, names
-from marouting.yaml_files import override, read_yaml
+from marouting.registry import importing_from
 from policies.cli.benchmark import benchmark
-from policies.cli.completion import file_or_keys, keys_of, options_of_the_router, routers
+from policies.cli.completion import file_or_keys, keys_of
+from policies.cli.evaluate import evaluate_command
 from policies.cli.options import (
     FILE,
     allow_code_option,
@@ -56,16 +42,13 @@ from policies.cli.options import (
     results_alone,
     tell,
 )
+from policies.cli.route import route
 from policies.cli.source import problem_argument
+from policies.cli.train import train
 from policies.cli.view import view
-from policies.interrupts import Held, interruptible
-from policies.results.run_folder import policy_file
-from policies.routers.base import LEFT_ALONE, solve, warm_up
-from policies.routers.registry import is_learner, make_router, router_names, unknown
-
-if TYPE_CHECKING:
-    from policies.learned.router import LearnedRouter
-    from policies.routers.base import Router
+from policies.interrupts import interruptible
+from policies.routers.base import LEFT_ALONE
+from policies.routers.registry import unknown
 
 _RENAMED = {
     "animate": "view … --out FILE.svg",
@@ -205,255 +188,6 @@ def convert(
     tell(as_json, text, out=out, grid=size, nets=nets, open_nets=open_nets)
 
 
-@cli.command()
-@problem_argument
-@overrides_argument(options_of_the_router)
-@click.option(
-    "--router",
-    metavar="NAME",
-    default="astar",
-    show_default=True,
-    shell_complete=routers,
-    help=f"Router or learner: {', '.join(router_names())}, module:Class, or a trained policy: "
-    "its file or its training's folder.",
-)
-@click.option(
-    "--checkpoint",
-    type=FILE,
-    help="Trained policy, its file or its training's folder; without it, a learner is trained on "
-    "the problem.",
-)
-@click.option(
-    "--config",
-    type=FILE,
-    help="YAML file of the router's options, or of a learner's training; without it, the defaults.",
-)
-@click.option(
-    "--prune",
-    is_flag=True,
-    help="Remove dead ends and loops before the solution is evaluated and written.",
-)
-@click.option(
-    "--out",
-    type=FILE,
-    help="File for the solution; without it, none is written. In a long search, the best solution "
-    "so far is written every five minutes.",
-)
-@allow_code_option
-@json_option
-def route(
-    problem: ProblemFile,
-    overrides: tuple[str, ...],
-    router: str,
-    checkpoint: Path | None,
-    config: Path | None,
-    prune: bool,
-    out: Path | None,
-    as_json: bool,
-) -> None:
-    """Route PROBLEM and evaluate the solution.
-
-    KEY=VALUE changes an option of the router, such as net_order=file, seed=1, or time_limit=60
-    (seconds) for optimal. A learner uses the policy of --checkpoint; without one it is trained on
-    the problem, as in the paper, and its options are the keys of a training's configuration, such
-    as train.episodes=200. Overflow and wirelength are given with and without (pruned) dead ends
-    and loops, which --prune removes. The seconds, of wall time and of processor time, exclude
-    compiling, loading and files.
-    """
-    from policies.cli.progress import waiting
-
-    results_alone()
-    policy = None if router in router_names() else policy_file(Path(router))
-    if policy is not None:
-        from policies.learned.policy import TrainedPolicy  # torch
-
-        check("--checkpoint", checkpoint is None, f"none beside --router {router}")
-        checkpoint, router = policy, TrainedPolicy.load(policy, problem.stem).learner
-    elif checkpoint is not None:
-        checkpoint = policy_file(checkpoint) or checkpoint
-    learner = is_learner(router, "--router")
-    if checkpoint and not learner:
-        expected = " or ".join(names("learner"))
-        raise InputError(f"--checkpoint: expected --router {expected}")
-    if checkpoint and (config or overrides):
-        raise InputError("--checkpoint: expected no configuration with it: nothing is trained")
-    if out is not None:
-        check_suffix(out)
-        check_apart(out, *problem.files, *(file for file in (checkpoint, config) if file))
-    loaded = problem.read()
-    if out is not None:
-        check_writable(out)
-    held = Held()
-    with contextlib.ExitStack() as stack:
-        if learner:
-            learned = _learned(router, checkpoint, problem.stem, config, overrides, stack)
-            solver: Router = learned
-            if checkpoint is None and max(map(len, loaded.pin_gcells), default=0) > 1:
-                click.echo(
-                    f"{router}: no --checkpoint, so it is trained on this problem as in the paper: "
-                    f"{learned.config.train.episodes} episodes (train.episodes=N)",
-                    err=True,
-                )
-        else:
-            options = override({} if config is None else read_yaml(config), overrides)
-            where = f"--router {router}" if config is None else str(config)
-            solver = make_router(router, options, where)
-            what = (
-                f"one with a method route, found {router}, which plays scenarios of policies only"
-            )
-            check("--router", hasattr(solver, "route"), what)
-            save = None if out is None else lambda best: _finished(best, prune).write(out)
-            held = stack.enter_context(waiting(router, solver, save))
-        warm_up(solver)
-        started, worked = time.perf_counter(), _processor_seconds()
-        solution, report = solve(solver, loaded)
-        solution = _finished(solution, prune)
-        seconds, worked = time.perf_counter() - started, _processor_seconds() - worked
-    if out is not None:
-        solution.write(out)
-    _report(router, solution, seconds, as_json, {"processor_seconds": round(worked, 2), **report})
-    held.leave()
-
-
-def _processor_seconds() -> float:
-    """Processor time so far, of all threads and of processes that have ended."""
-    return sum(os.times()[:4])
-
-
-def _finished(solution: Solution, prune: bool) -> Solution:
-    """A router's solution as it is written."""
-    solution = solution.pruned() if prune else solution
-    chip = solution.problem.chip
-    return solution if chip is None or chip.contest is None else with_pins_covered(solution)
-
-
-_NOT_ROUTED = {
-    **dict.fromkeys(("env.problem", "env.scenario", "env.split"), "PROBLEM is routed"),
-    **dict.fromkeys(
-        ("out", "train.checkpoint_seconds", "train.evaluate_every", "train.figures", "train.policy",
-         "train.reference", "train.tensorboard", "train.wandb"),
-        "nothing but --out is written",
-    ),
-}  # fmt: skip
-"""Keys of a training that have no effect on one for a problem that is routed."""
-
-
-def _learned(
-    learner: str,
-    checkpoint: Path | None,
-    problem: str,
-    config: Path | None,
-    overrides: Sequence[str],
-    stack: contextlib.ExitStack,
-) -> "LearnedRouter":
-    """A learner as a router, with a progress bar for its training until the stack is closed."""
-    from policies.cli.progress import training_bar
-    from policies.learned.config import load_config
-    from policies.learned.router import LearnedRouter
-
-    for key in (text.partition("=")[0] for text in overrides):
-        for part, reason in _NOT_ROUTED.items():
-            check(key, not f"{key}.".startswith(f"{part}."), f"no such key: {reason}")
-    settings = load_config(config, overrides, learner)
-    watch = None
-    if checkpoint is None:
-        watch = stack.enter_context(training_bar(0, settings.train.episodes))
-    router = LearnedRouter(settings, checkpoint, watch, network=problem)
-    if router.policy is not None:
-        kind = router.policy.learner
-        check("--router", kind == learner, f"{kind}, as in {checkpoint}, found {learner}")
-    return router
-
-
-def _report(
-    router: str | None,
-    solution: Solution,
-    seconds: float,
-    as_json: bool,
-    report: Mapping[str, Any] = MappingProxyType({}),
-) -> None:
-    """Prints the figures of a solution, and those that its router adds."""
-    from policies.results.rows import solution_row
-
-    fields = {"router": router, **solution_row(solution, seconds), **report}
-    del fields["open_nets"]  # their names follow
-    disconnected = evaluate(solution.problem, solution).disconnected
-    chip = solution.problem.chip
-    if chip is not None and chip.contest is not None:
-        cost = asdict(contest_cost(solution))
-        disconnected = cost.pop("open")
-        fields |= {f"ispd2024_{name}": value for name, value in cost.items()}
-    if as_json:
-        click.echo(as_text({**fields, "open_nets": disconnected}))
-        return
-    width = max(map(len, fields))
-    for name, value in fields.items():
-        if value is not None:
-            click.echo(f"{name:>{width}}  {value}")
-    if disconnected:
-        shown = " ".join(disconnected[:10])
-        more = len(disconnected) - 10
-        click.echo(f"{'open nets':>{width}}  {shown}{f' and {more} more' if more > 0 else ''}")
-
-
-@cli.command("evaluate")
-@problem_argument
-@click.argument("solution", type=FILE)
-@click.option(
-    "--report",
-    "in_detail",
-    is_flag=True,
-    help="Print a report of congestion and detours instead.",
-)
-@click.option(
-    "--map",
-    "picture",
-    type=FILE,
-    help="File for a congestion map, such as map.png; without it, none is drawn.",
-)
-@json_option
-def evaluate_command(
-    problem: ProblemFile, solution: Path, in_detail: bool, picture: Path | None, as_json: bool
-) -> None:
-    """Evaluate a solution file by the rules of the ISPD 2008 contest's evaluator.
-
-    Overflow and wirelength are given with and without (pruned) dead ends and loops. A routing guide
-    is evaluated by the shortest routes inside it. A .guide file is also checked for boxes off the
-    grid of Gcells, pins that it does not cover, and nets whose boxes are not all connected.
-    Problems of the ISPD 2024 contest also get the contest's cost. A pin with shapes in several
-    Gcells may be reached in any of them.
-
-    A report has wires and vias by layer, the edges with the most overflow and the nets on them,
-    each net's detour over the shortest tree, a histogram of edge use, and the open nets.
-    """
-    if picture is not None:
-        check_apart(picture, *problem.files, solution)
-    loaded = problem.read()
-    record = read_record(solution, loaded)
-    routes = Solution.of_record(record, loaded).at_reached_pins()
-    if picture is not None:
-        from policies import figures
-
-        check_writable(picture)
-        figures.save(figures.congestion_map(routes.problem, routes, problem.stem), picture)
-    if in_detail:
-        from policies.cli.tables import show_report
-        from policies.results.report import report
-
-        found = report(routes)
-        click.echo(json.dumps(found)) if as_json else show_report(found, str(solution))
-        return
-    started = time.perf_counter()
-    evaluate(routes.problem, routes)
-    seconds = time.perf_counter() - started
-    is_guide = suffix_of(solution) == ".guide"
-    checked = check_guide(record, loaded) if is_guide else None
-    if is_guide and checked is None:
-        click.echo(f"{solution}: no boxes, so it is not checked as a guide", err=True)
-    of_guide = {} if checked is None else {f"guide_{k}": v for k, v in asdict(checked).items()}
-    _report(None, routes, seconds, as_json, of_guide)
-
-
 @cli.command("config")
 @click.argument("config", type=FILE, required=False, shell_complete=file_or_keys)
 @overrides_argument(keys_of("train"))
@@ -488,93 +222,6 @@ def config_command(
         click.echo(json.dumps({"config": whole, "origins": by_key}))
     else:
         click.echo(text_of(whole, origins), nl=False)
-
-
-@cli.command()
-@click.argument("config", type=FILE, required=False, shell_complete=file_or_keys)
-@overrides_argument(keys_of("train"))
-@click.option(
-    "--resume",
-    type=FILE,
-    help="Run folder of a training to continue; CONFIG may be left out.  "
-    "[default: a new training, in the folder `out`]",
-)
-@allow_code_option
-@json_option
-def train(
-    config: Path | None, overrides: tuple[str, ...], resume: Path | None, as_json: bool
-) -> None:
-    """Train a learner on the problems of CONFIG, a YAML file.
-
-    Without CONFIG every key has its default. KEY=VALUE changes a key, such as train.episodes=200
-    or learner.kind=ppo; the kinds are dqn, ppo, iql, ippo, mappo, imitation and module:Class, and
-    each has its own defaults. env.scenario=toy-4x4-v0 trains one network on problems drawn from
-    the scenario's training split, and evaluates it on the validation problems. Everything is
-    written to the run folder, the key `out`. --resume DIR goes on with a run that was stopped;
-    with a larger train.episodes (or train.steps, train.seconds) also with one that is finished.
-    """
-    from policies.cli.progress import training_bar
-    from policies.cli.resolved import check_kind
-    from policies.cli.tables import FEW, show, show_training
-    from policies.learned.config import load_config
-    from policies.learned.run import FALLING, Run
-    from policies.results.run_folder import CHECKPOINT
-
-    config, overrides = file_apart(config, overrides)
-    if resume is not None and not exists(resume / "config.yaml"):
-        raise InputError(f"--resume {resume}: expected a run folder, with a config.yaml in it")
-    if config is not None:
-        check_kind(config, "train")
-    settings = load_config(config or (resume and resume / "config.yaml"), overrides)
-    if resume is not None:
-        settings = replace(settings, out=str(resume))
-    run = Run(settings, resume=resume is not None)
-
-    def tell_rows(rows: Sequence[Mapping[str, Any]]) -> None:
-        try:
-            standing = run.standing()
-        except InputError as error:  # rules of its own
-            standing = []
-            click.echo(f"not scored on {settings.env.scenario}: {error}", err=True)
-        if as_json:
-            told = {"out": run.folder, "episodes": run.episodes[0], "rows": rows}
-            splits: dict[str, Any] = {r.split: r.as_dict(rows=False) for r in standing}
-            if standing:
-                told |= {**asdict(run.figures), "parameters": run.parameters}
-            click.echo(as_text({**told, **splits}))
-            return
-        if len(run.problems) > FEW:
-            show_training(run, rows)
-        else:
-            show(rows, str(run.folder))
-        for result in standing:
-            click.echo(result)
-        if standing:
-            folder = shlex.quote(str(run.folder))
-            command = f"marouting benchmark --scenario {settings.env.scenario} --router {folder}"
-            code = " --allow-code" if any(code_named(settings)) else ""
-            click.echo(f"next: {command}{code}")
-        if not run.updates:
-            click.echo("nothing was learned: the training ended before its first update", err=True)
-
-    if run.finished is not None:
-        more = f"train.{run.length}=N adds {run.length}"
-        click.echo(f"{resume}: already finished; {more}", err=True)
-        tell_rows(run.finished)
-        return
-    if resume is not None and not (resume / CHECKPOINT).exists():
-        click.echo(f"{resume}: no checkpoint yet, so the training starts again", err=True)
-    options = settings.learner.options
-    set_to = ((key, getattr(options, key, None)) for key in FALLING)
-    falls = [key for key, value in set_to if value is not None and value is not False]
-    for name, had in run.had.items():
-        now = getattr(settings.train, name)
-        longer = f"; learner.{falls[0]} now refers to the longer training" if falls else ""
-        click.echo(f"{resume}: train.{name} was {had}, now {now}{longer}", err=True)
-    click.echo(f"learner {settings.learner.name}: {run.trainer.path}", err=True)
-    with training_bar(*run.progress, run.best, run.reference) as watch:
-        rows = run.execute(lambda some: watch(some, run.trainer.walks, run.progress[0]))
-    tell_rows(rows)
 
 
 @cli.command()
@@ -629,9 +276,6 @@ def plot(paths: tuple[Path, ...], out: Path | None, as_json: bool) -> None:
         click.echo(path)
 
 
-cli.add_command(view)
-
-
 @cli.command()
 @click.option(
     "--out",
@@ -648,7 +292,8 @@ def quickstart(out: Path, as_json: bool) -> None:
     run(out, as_json)
 
 
-cli.add_command(benchmark)
+for command in (benchmark, evaluate_command, route, train, view):
+    cli.add_command(command)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
