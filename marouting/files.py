@@ -208,9 +208,9 @@ def check_apart(out: str | os.PathLike[str], *read: str | os.PathLike[str]) -> N
 _ONLY_READ = (".def", ".lef", ".cap", ".net", ".segs")
 
 
-def check_suffix(path: str | os.PathLike[str], *others: str) -> None:
-    """Raises InputError for the suffix of a format that is only read, or of ``others``."""
-    if (suffix := suffix_of(path)) in (*_ONLY_READ, *others):
+def check_suffix(path: str | os.PathLike[str]) -> None:
+    """Raises InputError for the suffix of a format that is only read."""
+    if (suffix := suffix_of(path)) in _ONLY_READ:
         raise InputError(f"{os.fspath(path)}: expected another suffix: {suffix} is not written")
 
 

@@ -226,7 +226,7 @@ def test_a_signal_ends_a_route_with_the_best_so_far(
         ("route p.gr --out s.segs", "s.segs: expected another suffix: .segs is not written"),
         ("convert p.gr p.def", "p.def: expected another suffix: .def is not written"),
         ("convert p.gr p.CAP.gz", "p.CAP.gz: expected another suffix: .cap is not written"),
-        ("convert p.gr p.guide", "p.guide: expected another suffix: .guide is not written"),
+        ("convert p.gr p.guide", "p.guide: expected another suffix: .guide is for solutions"),
         (
             "evaluate p.gr s --control layers=1 --control layers=2",
             "--control layers: expected one value, found it twice",

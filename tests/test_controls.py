@@ -1,5 +1,6 @@
 """Controls of problems: layers, less capacity, nets that stay; the same everywhere."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -173,6 +174,15 @@ def test_nets_that_are_kept(tmp_path: Path, format: str) -> None:
     assert evaluate(problem, after).wirelength < whole.wirelength
 
 
+def boxes_in(guide: Path) -> dict[str, list[str]]:
+    """The lines of a guide, by net."""
+    found: dict[str, list[str]] = {}
+    for entry in guide.read_text().split(")\n")[:-1]:
+        name, _, *lines = entry.splitlines()
+        found[name] = lines
+    return found
+
+
 def test_places_of_kept_pins_leave_as_well(tmp_path: Path) -> None:
     file = ProblemFile(path=str(CHIP))
     problem = file.read()
@@ -193,6 +203,15 @@ def test_places_of_kept_pins_leave_as_well(tmp_path: Path) -> None:
     for at, net in enumerate(left):
         assert places_of(some.chip, at) == places_of(problem.chip, net)
     routed(some).write(tmp_path / "new.guide")
+
+    # The nets that stay have the boxes that they had, also where these are more than routes need.
+    room = routed(problem)
+    room.write(tmp_path / "room.guide", "patched-guide")
+    more = adjusted(problem, Controls(keep=str(tmp_path / "room.guide"), keep_nets=names))
+    routed(more).write(tmp_path / "newer.guide")
+    boxes = boxes_in(tmp_path / "room.guide"), boxes_in(tmp_path / "newer.guide")
+    assert all(sorted(boxes[0][name]) == sorted(boxes[1][name]) for name in names)
+    assert sum(map(len, boxes[1].values())) < sum(map(len, boxes[0].values()))
     judged = Solution.read(tmp_path / "new.guide", problem).at_reached_pins()
     assert evaluate(judged.problem, judged).connected
 
@@ -237,9 +256,28 @@ def test_commands_take_controls(tmp_path: Path, capsys: Any, monkeypatch: Any) -
     assert status(["route", "chip.def", "--out", "s.solution", *controls, *keep]) == 0
     assert status(["evaluate", "chip.def", "s.solution", *controls, *keep]) == 0
     assert status(["view", "chip.def", "s.solution", "--out", "p.html", *controls, *keep]) == 0
+    for key, section in (("env.problem", "train"), ("problems.small", "experiment")):
+        problem = {"path": "chip.def", "keep": "r.guide", "keep_nets": ["n1*"]}
+        raw: dict[str, Any] = {"env": {"problem": problem}, "out": "kept"}
+        if section == "experiment":
+            raw = {
+                "problems": {"small": problem},
+                "routers": {"a": {"router": "astar"}},
+                "out": "kept",
+            }
+        (tmp_path / "kept.yaml").write_text(json.dumps(raw))
+        assert status([section, "kept.yaml"]) == 2
+        assert f"{key}.keep: expected none" in capsys.readouterr().err
+        assert not (tmp_path / "kept").exists()
     assert status(["convert", "chip.def", "p.gr", *controls]) == 0
     assert Problem.read("p.gr") == adjusted_one
     assert "open nets" not in capsys.readouterr().out
+    assert status(["convert", "chip.def", "p.guide"]) == 2
+    assert "p.guide: expected another suffix: .guide is for" in capsys.readouterr().err
+    (tmp_path / "lonely.def").write_text(CHIP.read_text())
+    for name, said in (("lonely.def", "lonely.lef beside it, or its LEF"), ("chip.lef", "a .def")):
+        assert status(["route", name]) == 2
+        assert said in capsys.readouterr().err
     assert status(["route", "chip.def", "--control", "layer=2"]) == 2
     assert "--control: layer: unknown key; did you mean layers?" in capsys.readouterr().err
 

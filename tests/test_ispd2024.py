@@ -3,6 +3,7 @@
 The oracle is the contest's evaluator once more, from its text: plain loops over Gcells.
 """
 
+import json
 import math
 import warnings
 from pathlib import Path
@@ -15,6 +16,7 @@ from hypothesis import strategies as st
 from marouting import Area, Controls, InputError, Problem, Solution, adjusted, evaluate
 from marouting.problem.contest import contest_cost, with_pins_covered
 from marouting.problem.grid import AXES, VIA_AXIS
+from policies.cli.main import status
 from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "ispd24"
@@ -139,6 +141,15 @@ def test_routes_are_read_back_equal(files: Path, tmp_path: Path) -> None:
         "a\n(\n0 0 0 0 0 2\n0 0 2 3 0 2\n3 0 0 3 0 2\n)\n"
         "b\n(\n1 1 1 1 2 1\n1 1 1 1 1 2\n1 2 0 1 2 1\n)\nc\n(\n)\n"
     )
+
+
+def test_a_report_has_the_contests_cost(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["evaluate", str(files), str(files.with_suffix(".PR_output")), "--json"]
+    assert status(command) == status([*command, "--report"]) == 0
+    figures, report = map(json.loads, capsys.readouterr().out.splitlines())
+    costs = {name: value for name, value in figures.items() if name.startswith("ispd2024_")}
+    assert costs
+    assert costs.items() <= report.items()
 
 
 def test_the_contests_first_form_of_routes(files: Path, tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ import re
 import sys
 import time
 import tracemalloc
+import warnings
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,7 @@ from marouting import (
     adjusted,
     evaluate,
 )
+from marouting.search.astar import sequential_astar
 from policies.cli.main import status
 
 pytest.importorskip("klayout.db")
@@ -163,6 +165,11 @@ def test_vias_of_special_nets(tmp_path: Path, array: str, left: list[int]) -> No
     special = special.replace("M1 100", "M1 0")
     text = DEF.replace("COMPONENTS 1", f"{vias}COMPONENTS 1").replace("NETS 2", f"{special}NETS 2")
     problem = Problem.read(design(tmp_path, text))
+    for routing in ("TYPE Routing", "type routing", "TYPE\nrouting"):  # wires know both layers
+        wire = text.replace("( 700 700 ) v", "( 700 300 ) v ( * 700 ) v")
+        same = Problem.read(design(tmp_path, wire)).capacity
+        again = Problem.read(design(tmp_path, wire, LEF.replace("TYPE ROUTING", routing)))
+        assert (again.capacity == same).all()
     # 650-750 wide and high: it blocks 650 and 750 of both layers; the second one, 750-850, 850.
     assert capacities(problem, 0, 0) == [[2, 3], [1, 1], [2, 2]]
     assert capacities(problem, 1, 1)[0] == left
@@ -263,8 +270,19 @@ def test_lef_files_elsewhere(tmp_path: Path) -> None:
     (tmp_path / "chip.lef").unlink()
     lef = [tmp_path / "tech.lef", tmp_path / "cells.lef"]
     assert Problem.read(tmp_path / "chip.def", lef=lef) == whole
-    with pytest.raises(InputError, match=r"chip\.lef: cannot be read"):
+    with pytest.raises(InputError, match=r"chip\.def: expected .*chip\.lef beside it"):
         Problem.read(tmp_path / "chip.def")
+
+
+def test_routes_of_another_grid_are_told(tmp_path: Path) -> None:
+    file = design(tmp_path)
+    smaller = Problem.read(file, tile=(250, 250))
+    sequential_astar(smaller).write(tmp_path / "own.solution")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        Solution.read(tmp_path / "own.solution", smaller)
+    with pytest.warns(UserWarning, match="100% of the ends of segments are no centers of Gcells"):
+        Solution.read(tmp_path / "own.solution", Problem.read(file))
 
 
 def test_a_guide_by_hand(tmp_path: Path) -> None:

@@ -253,6 +253,35 @@ def test_a_die_that_is_no_rectangle(tmp_path: Path) -> None:
         Problem.read(design(tmp_path, DEF.replace("( 0 0 ) (", "( 0 0 ) ( 0 500 ) ( 500 700 ) (")))
 
 
+@pytest.mark.parametrize(
+    ("notch", "at", "gcell"),
+    [
+        # The pin, 40 wide and 100 high, lies half in what the die lacks.
+        ("( 0 0 ) ( 0 1000 ) ( 1000 1000 ) ( 1000 400 ) ( 400 400 ) ( 400 0 )", "( 400 200 )", 0),
+        ("( 400 0 ) ( 400 400 ) ( 0 400 ) ( 0 1000 ) ( 1000 1000 ) ( 1000 0 )", "( 400 200 )", 1),
+        # Only 2 of its 40 are on the die, in another Gcell than the rest.
+        ("( 418 0 ) ( 418 400 ) ( 0 400 ) ( 0 1000 ) ( 1000 1000 ) ( 1000 0 )", "( 400 200 )", 1),
+    ],
+)
+def test_a_pin_is_where_the_die_is(tmp_path: Path, notch: str, at: str, gcell: int) -> None:
+    swaps = ("( 0 0 ) ( 1000 1000 )", notch), ("( 900 0 )", at), ("( 200 100 )", "( 500 500 )")
+    problem = Problem.read(design(tmp_path, swapped(DEF, *swaps)))
+    assert problem.nets[0].pins[0] == (200 + 400 * gcell, 200, 2)
+
+
+def test_no_net_is_left(tmp_path: Path) -> None:
+    nets = DEF[DEF.index("NETS 2") :]
+    for left in ("- n2 ( u2 Z )", "- n2"):
+        text = DEF.replace(nets, f"NETS 1 ;\n{left} ;\nEND NETS\nEND DESIGN\n")
+        text = swapped(
+            text,
+            ("COMPONENTS 1", "COMPONENTS 2"),
+            ("( 200 100 ) N ;", "( 200 100 ) N ;\n- u2 CELL ;"),
+        )
+        with pytest.raises(InputError, match=r"chip\.def.*: expected at least one net with a pin"):
+            Problem.read(design(tmp_path, text))
+
+
 @pytest.mark.parametrize("section", ["COMPONENTS", "PINS", "NETS"])
 def test_a_count_that_is_wrong(tmp_path: Path, section: str) -> None:
     plain = Problem.read(design(tmp_path))

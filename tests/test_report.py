@@ -224,6 +224,15 @@ def test_the_command(crowded: Solution, capsys: pytest.CaptureFixture[str]) -> N
     assert "4 nets in g" in said.out
     assert "1 open nets, whose routes are not connected" in said.err
     assert Path("g").read_text().startswith("a\n(\n0 0 3 1 Metal1\n")
+    assert status(["convert", "p.gr", "g.guide", "--solution", "p.solution"]) == 0
+    assert status(["evaluate", "p.gr", "g.guide", "--json"]) == 0
+    checked = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert status(["evaluate", "p.gr", "g.guide", "--report", "--json"]) == 0
+    of_guide = {name: value for name, value in checked.items() if name.startswith("guide_")}
+    assert of_guide["guide_split_nets"] == 1
+    assert of_guide.items() <= json.loads(capsys.readouterr().out).items()
+    assert status(["evaluate", "p.gr", "g.guide", "--report"]) == 0
+    assert "guide_split_nets 1\n" in capsys.readouterr().out
     assert status(["evaluate", "p.gr", "p.solution", "--map", "map.xyz"]) == 2
     assert "expected a picture's suffix" in capsys.readouterr().err
 

@@ -1,5 +1,6 @@
 """Routes as boxes of a chip's layers, which is how routing guides give them, and back."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -114,14 +115,14 @@ def boxes_of(
     problem: Problem,
     net: NDArray[np.int64],
     edge: NDArray[np.int64],
-    more: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None,
+    more: Sequence[tuple[NDArray[np.int64], NDArray[np.int64]]] = (),
 ) -> Boxes:
     """Boxes that cover routes, edges (k,) of nets (k,), and pins, connected where the routes are.
 
     Every longest straight segment is a box. Every via lies in a box of both layers. Every pin's
     Gcell is covered in its own layer and in the next higher one, so that the pin can be left by a
-    via, and so is what the pin touches of Gcells beside it. ``more`` is net and Gcell (n,) twice of
-    what is covered beyond that.
+    via, and so is what the pin touches of Gcells beside it. ``more`` has net and Gcell, (n,) twice,
+    of what is covered beyond that.
     """
     chip: Chip = problem.chip_or_default
     size, layers = int(np.prod(problem.grid)), problem.grid[2]
@@ -137,9 +138,9 @@ def boxes_of(
         beside_net, beside = _beside_pins(problem, chip.places)
         pin_net, pins = np.concatenate((pin_net, beside_net)), np.concatenate((pins, beside))
     below_top = pins % layers + 1 < layers
-    more_net, more_gcells = (pin_net[:0], pins[:0]) if more is None else more
-    single_net = np.concatenate((net[~wire], net[~wire], pin_net, pin_net[below_top], more_net))
-    single = np.concatenate((near[~wire], far[~wire], pins, pins[below_top] + 1, more_gcells))
+    beyond = [np.concatenate(own) for own in zip(*more, strict=True)] if more else [pins[:0]] * 2
+    single_net = np.concatenate((net[~wire], net[~wire], pin_net, pin_net[below_top], beyond[0]))
+    single = np.concatenate((near[~wire], far[~wire], pins, pins[below_top] + 1, beyond[1]))
     alone = distinct(single_net * size + single)
     alone = alone[~is_among(alone, distinct(in_wires))]
     box_net = np.concatenate((run_net, alone // size))

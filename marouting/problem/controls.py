@@ -28,6 +28,7 @@ from marouting.errors import InputError, nearest
 from marouting.files import beside, stem_of, suffix_of
 from marouting.problem.chip import Chip, Contest, as_adjustments
 from marouting.problem.grid import AXES, VIA_AXIS, distinct
+from marouting.problem.guides import gcells_in_boxes, has_boxes, read_record
 from marouting.problem.net import MAX_NUMBER, Adjustment
 from marouting.problem.problem import Kept, Problem
 from marouting.problem.solution import Solution, evaluate
@@ -73,7 +74,9 @@ class Controls:
         derate: factors from 0 to 1 by layers, such as ``{met1: 0.8, 3..4: 0.9}``, by which capacity
             is multiplied.
         areas: the same in rectangles of Gcells (:class:`Area`).
-        keep: a file of routes or a guide; the nets that it routes stay as they are. None: none do.
+        keep: a file of routes or a guide; the nets that it routes stay as they are. Those of a
+            guide take the tracks of the shortest routes inside it, and guides are written with all
+            of it. None: none do.
         keep_nets: names of nets of that file that stay; empty: all do.
 
     Raises:
@@ -166,7 +169,7 @@ def adjusted(problem: Problem, controls: Controls) -> Problem:
     """
     if all(getattr(controls, own.name) == getattr(_NONE, own.name) for own in fields(_NONE)):
         return problem
-    kept, stays = _kept_routes(problem, controls)
+    kept, stays, room = _kept_routes(problem, controls)
     free = np.setdiff1d(np.arange(len(problem.nets)), kept)
     check("keep", len(free), f"at least one net that does not stay, found all in {controls.keep}")
     allowed = _allowed_layers(problem, controls)
@@ -182,7 +185,7 @@ def adjusted(problem: Problem, controls: Controls) -> Problem:
     found = _with_capacities(whole, edge, np.maximum(left, 0), whole.layer_capacity)
     found = _with_widths(found, allowed, free)
     nets = tuple(found.nets[i] for i in free.tolist())
-    chip, own = _chip_of(whole.chip, free), Kept(whole, free, stays.uses)
+    chip, own = _chip_of(whole.chip, free), Kept(whole, free, stays.uses, room)
     return replace(found, nets=nets, chip=chip, kept=own)
 
 
@@ -247,8 +250,8 @@ def _wired(problem: Problem, name: str, given: str | int | None) -> NDArray[np.b
     if given is not None and chip.only_pins and layers[0]:
         raise InputError(
             f"{name}: expected layers above {chip.layers[0]}, which was read as a layer of pins "
-            f"without wires, found {given!r}; give the file with layers=1.., or read it with "
-            "pin_layer_wires=True"
+            f"without wires, found {given!r}; also give layers, from which other nets take theirs "
+            "(2.. or 1..), or read the file with pin_layer_wires=True"
         )
     there = problem.wired
     for axis, way in enumerate(("horizontal", "vertical")):
@@ -378,11 +381,15 @@ def _named(problem: Problem, name: str, given: Collection[str]) -> NDArray[np.bo
     return named
 
 
-def _kept_routes(problem: Problem, controls: Controls) -> tuple[NDArray[np.int64], Solution | None]:
-    """The nets that stay, and their routes: a solution of the problem, or None without any."""
+def _kept_routes(
+    problem: Problem, controls: Controls
+) -> tuple[NDArray[np.int64], Solution | None, tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """The nets that stay; their routes, or None without any; and the room of :class:`Kept`."""
+    nothing = np.empty(0, np.int64)
     if controls.keep is None:
-        return np.empty(0, np.int64), None
-    found = Solution.read(controls.keep, problem)
+        return nothing, None, (nothing, nothing)
+    record = read_record(controls.keep, problem)
+    found = Solution.of_record(record, problem)
     net, edge = found.uses
     chosen = _named(problem, "keep_nets", controls.keep_nets)
     if not controls.keep_nets:
@@ -396,7 +403,10 @@ def _kept_routes(problem: Problem, controls: Controls) -> tuple[NDArray[np.int64
                 "all pins; keep_nets selects others"
             )
     stays = chosen[net]
-    return np.flatnonzero(chosen), Solution.of_uses(problem, net[stays], edge[stays])
+    covered = gcells_in_boxes(record, problem) if has_boxes(record) else nothing
+    owner, gcell = np.divmod(covered, int(np.prod(problem.grid)))
+    routes = Solution.of_uses(problem, net[stays], edge[stays])
+    return np.flatnonzero(chosen), routes, (owner[chosen[owner]], gcell[chosen[owner]])
 
 
 def _chip_of(chip: Chip | None, nets: NDArray[np.int64]) -> Chip | None:

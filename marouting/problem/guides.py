@@ -6,6 +6,7 @@ and Xu, "TritonRoute: an initial detailed router for advanced VLSI technologies"
 
 import os
 from dataclasses import dataclass
+from typing import TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,22 +72,12 @@ def check_guide(record: Record, problem: Problem) -> GuideCheck | None:
     """
     problem = problem if problem.kept is None else problem.kept.whole
     chip = problem.chip_or_default
-    if isinstance(record, ispd.SolutionRecord) or not len(record.boxes):
+    if not has_boxes(record):
         return None
     box, lines = chip.on_chip(record.boxes[:, :4]), (chip.x, chip.y)
     there = (box[:, :2] < box[:, 2:]).all(axis=1)
-    net, box, layer = record.net[there], box[there], record.boxes[there, 4]
-    on_grid = np.all([is_among(box[:, i], lines[i % 2]) for i in range(4)], axis=0)
-    first, last = [], []
-    for axis, line in enumerate(lines):
-        begin = np.searchsorted(line, box[:, axis], "right") - 1
-        end = np.searchsorted(line, box[:, axis + 2], "left")
-        first.append(begin.clip(0, len(line) - 2))
-        last.append(end.clip(first[axis] + 1, len(line) - 1))
-    index, x, y = gcells_of_boxes(first, last, USED, "boxes of {} Gcells")
-    size = int(np.prod(problem.grid))
-    gcell = np.stack((x, y, layer[index]), axis=1) @ problem.strides
-    covered = distinct(net[index] * size + gcell)
+    on_grid = np.all([is_among(box[there, i], lines[i % 2]) for i in range(4)], axis=0)
+    covered, size = gcells_in_boxes(record, problem), int(np.prod(problem.grid))
     near, far = np.concatenate(
         [np.stack(neighbours(problem.grid, covered, axis)) for axis in range(AXES)], axis=1
     )
@@ -98,6 +89,28 @@ def check_guide(record: Record, problem: Problem) -> GuideCheck | None:
         open_pins=_open_pins(problem, covered),
         split_nets=int(np.count_nonzero(parts_of_net > 1)),
     )
+
+
+def has_boxes(record: Record) -> TypeGuard[ispd.RoutesRecord]:
+    """Whether a file of routes is a guide: whether it holds boxes."""
+    return not isinstance(record, ispd.SolutionRecord) and len(record.boxes) > 0
+
+
+def gcells_in_boxes(record: ispd.RoutesRecord, problem: Problem) -> NDArray[np.int64]:
+    """The Gcells that a guide's boxes touch, as nets · G + Gcell, ascending."""
+    chip = problem.chip_or_default
+    box, lines = chip.on_chip(record.boxes[:, :4]), (chip.x, chip.y)
+    there = (box[:, :2] < box[:, 2:]).all(axis=1)
+    net, box, layer = record.net[there], box[there], record.boxes[there, 4]
+    first, last = [], []
+    for axis, line in enumerate(lines):
+        begin = np.searchsorted(line, box[:, axis], "right") - 1
+        end = np.searchsorted(line, box[:, axis + 2], "left")
+        first.append(begin.clip(0, len(line) - 2))
+        last.append(end.clip(first[axis] + 1, len(line) - 1))
+    index, x, y = gcells_of_boxes(first, last, USED, "boxes of {} Gcells")
+    gcell = np.stack((x, y, layer[index]), axis=1) @ problem.strides
+    return distinct(net[index] * int(np.prod(problem.grid)) + gcell)
 
 
 def _open_pins(problem: Problem, covered: NDArray[np.int64]) -> int:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from marouting.errors import InputError
-from marouting.files import beside, check_suffix, naming, suffix_of
+from marouting.files import beside, check_suffix, exists, naming, suffix_of
 from marouting.problem import ispd, lefdef
 from marouting.problem.chip import Chip
 from marouting.problem.grid import AXES, MAX_GCELLS, OFF_GRID, VIA_AXIS, Grid
@@ -46,11 +46,14 @@ class Kept:
         free: (nets,) int64, for each net of the problem its number in ``whole``, ascending.
         uses: (uses,) int64 twice: net, by its number in ``whole``, and edge of the routes that
             stay, in this order.
+        room: (k,) int64 twice: net, as above, and Gcell of what the boxes of a guide cover, if
+            that is what the routes are from.
     """
 
     whole: "Problem"
     free: NDArray[np.int64]
     uses: tuple[NDArray[np.int64], NDArray[np.int64]]
+    room: tuple[NDArray[np.int64], NDArray[np.int64]]
 
 
 @dataclass(frozen=True)
@@ -402,10 +405,15 @@ class Problem:
             with naming(path, "cannot be read"):  # before its LEF files are looked for
                 os.stat(path)  # noqa: PTH116 (PathLike without Path)
             files = lef or [beside(path, ".lef")]
+            if not lef and not exists(files[0]):
+                what = f"{os.fspath(files[0])} beside it, or its LEF files named (lef, --lef)"
+                raise InputError(f"{os.fspath(path)}: expected {what}")
             record = lefdef.read_design(path, files, tile, pin_layer_wires)
         elif suffix == ".cap":
             record = ispd.read_contest(path, net or beside(path, ".net"))
         else:
+            if suffix == ".lef":
+                raise InputError(f"{os.fspath(path)}: expected the design, a .def file")
             record = ispd.read_problem(path)
         try:
             return Problem(**record.fields)
@@ -417,8 +425,13 @@ class Problem:
         """What the problem's files give that :meth:`write` does not, in words."""
         if self.chip is None:
             return ()
-        lost = "names of layers", "further Gcells of pins"
-        return lost if self.chip.contest is None else (*lost, "costs of the contest")
+        lost = ["names of layers", "further Gcells of pins"]
+        # The last column and row reach to the die's border.
+        if any(len(set(np.diff(at)[:-1])) > 1 for at in (self.chip.x, self.chip.y)):
+            lost.append("sizes and so positions of Gcells")
+        if self.chip.contest is not None:
+            lost.append("costs of the contest")
+        return tuple(lost)
 
     def write(self, path: str | os.PathLike[str], format: ispd.Format = "ispd2008") -> None:
         """Writes the problem in an ISPD format (:mod:`marouting.problem.ispd`).
@@ -440,7 +453,11 @@ class Problem:
                 f"{os.fspath(path)}: expected a problem without nets that stay (keep): the format "
                 "has no routes"
             )
-        check_suffix(path, ".guide", ".pr_output")
+        check_suffix(path)
+        if (suffix := suffix_of(path)) in (".guide", ".pr_output"):
+            raise InputError(
+                f"{os.fspath(path)}: expected another suffix: {suffix} is for solutions"
+            )
         fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         ispd.write_problem(path, fields, format)
 

@@ -221,6 +221,7 @@ class Solution:
         try:
             if isinstance(record, ispd.SolutionRecord):
                 segment, edge = covered_edges(problem, record.points)
+                _warn_of_other_grid(problem, record)
             elif len(record.boxes):
                 boxes = Boxes(record.net, record.boxes[:, :4], record.boxes[:, 4])
                 *uses, pins = edges_in_boxes(problem, boxes)
@@ -271,7 +272,8 @@ class Solution:
           as its longest straight segments between the centres of Gcells, ordered by their lower
           end.
 
-        Nets that the problem keeps (:attr:`Problem.kept`) are written with their routes.
+        Nets that the problem keeps (:attr:`Problem.kept`) are written with their routes, and those
+        of a guide with all that its boxes cover.
 
         Args:
             path: the file.
@@ -282,31 +284,31 @@ class Solution:
                 only read (``.def``, ``.lef``, ``.cap``, ``.net``, ``.segs``), or the file cannot
                 be written.
         """
-        if self.problem.kept is not None:
-            self.whole.write(path, format)
-            return
         check_suffix(path)
         format = format or _BY_SUFFIX.get(suffix_of(path), "ispd2008")
-        nets = self.problem.nets
+        whole, kept = self.whole, self.problem.kept
+        problem, uses = whole.problem, whole.uses
+        nets = problem.nets
         if format in ("guide", "patched-guide"):
-            layers = self.problem.chip_or_default.layers
-            reached, more = self.at_reached_pins().problem, None
+            layers = problem.chip_or_default.layers
+            reached = whole.at_reached_pins().problem
+            more = [] if kept is None else [kept.room]
             if format == "patched-guide":
-                more = patches(reached, self.uses, self.used_edges)
-            net, box, layer = boxes_of(reached, *self.uses, more)
+                more.append(patches(reached, uses, whole.used_edges))
+            net, box, layer = boxes_of(reached, *uses, more)
             rows = [
                 f"{left} {low} {right} {high} {layers[z]}"
                 for left, low, right, high, z in zip(*box.T.tolist(), layer.tolist(), strict=True)
             ]
             ispd.write_routes(path, [net.name for net in nets], net, rows)
         elif format == "ispd2024":
-            self._check_directions(os.fspath(path))
-            net, ends = longest_runs(self.problem, *self.uses)
-            position = np.stack(np.unravel_index(ends, self.problem.grid), axis=-1)
+            whole._check_directions(os.fspath(path))
+            net, ends = longest_runs(problem, *uses)
+            position = np.stack(np.unravel_index(ends, problem.grid), axis=-1)
             rows = [" ".join(map(str, row)) for row in position.reshape(-1, 6).tolist()]
             ispd.write_routes(path, [net.name for net in nets], net, rows)
         else:
-            net, points = longest_segments(self.problem, *self.uses)
+            net, points = longest_segments(problem, *uses)
             ispd.write_solution(path, [(net.name, net.id) for net in nets], net, points)
 
     def _check_directions(self, path: str) -> None:
@@ -360,6 +362,20 @@ def _edges_of_points(
     low, high = (tuple(int(lines[end]) for lines in borders) for end in (0, -1))
     extent = f"a point of the chip, from {low} to {high}"
     return edges_between(problem, gcells, record.points[..., :2], extent)
+
+
+def _warn_of_other_grid(problem: Problem, record: ispd.SolutionRecord) -> None:
+    """Warns if most ends of segments are no centers of a design's Gcells."""
+    if problem.chip is None or not len(record.points):
+        return
+    tile = np.array(problem.tile)
+    beside = (record.points[..., :2] - np.array(problem.origin)) % tile != tile // 2
+    if (share := beside.any(axis=2).mean()) > 0.5:
+        warnings.warn(
+            f"{record.file}: {share:.0%} of the ends of segments are no centers of Gcells: the "
+            "routes may be of a grid of another size (tile)",
+            stacklevel=4,
+        )
 
 
 def _warn_of_turned(problem: Problem, record: ispd.RoutesRecord) -> None:

@@ -58,22 +58,33 @@ def evaluate_command(
 
         check_writable(picture)
         figures.save(figures.congestion_map(routes.problem, routes, problem.stem), picture)
-    if in_detail:
-        from policies.cli.tables import show_report
-        from policies.results.report import report
-
-        found = report(routes)
-        click.echo(json.dumps(found)) if as_json else show_report(found, str(solution))
-        return
-    started = time.perf_counter()
-    evaluate(routes.problem, routes)
-    seconds = time.perf_counter() - started
     is_guide = suffix_of(solution) == ".guide"
     checked = check_guide(record, loaded) if is_guide else None
     if is_guide and checked is None:
         click.echo(f"{solution}: no boxes, so it is not checked as a guide", err=True)
     of_guide = {} if checked is None else {f"guide_{k}": v for k, v in asdict(checked).items()}
+    if in_detail:
+        from policies.cli.tables import show_report
+        from policies.results.report import report
+
+        more = contest_figures(routes) | of_guide
+        found = {**report(routes), **more}
+        click.echo(json.dumps(found)) if as_json else show_report(found, str(solution), more)
+        return
+    started = time.perf_counter()
+    evaluate(routes.problem, routes)
+    seconds = time.perf_counter() - started
     show_figures(None, routes, seconds, as_json, of_guide)
+
+
+def contest_figures(solution: Solution) -> dict[str, Any]:
+    """The cost of the ISPD 2024 contest, and the open nets by its rules; empty for others."""
+    chip = solution.problem.chip
+    if chip is None or chip.contest is None:
+        return {}
+    cost = asdict(contest_cost(solution))
+    open_nets = cost.pop("open")
+    return {**{f"ispd2024_{name}": value for name, value in cost.items()}, "open_nets": open_nets}
 
 
 def show_figures(
@@ -87,13 +98,9 @@ def show_figures(
     from policies.results.rows import solution_row
 
     fields = {"router": router, **solution_row(solution, seconds), **report}
-    del fields["open_nets"]  # their names follow
-    disconnected = evaluate(solution.problem, solution).disconnected
-    chip = solution.problem.chip
-    if chip is not None and chip.contest is not None:
-        cost = asdict(contest_cost(solution))
-        disconnected = cost.pop("open")
-        fields |= {f"ispd2024_{name}": value for name, value in cost.items()}
+    fields["open_nets"] = evaluate(solution.problem, solution).disconnected
+    fields |= contest_figures(solution)
+    disconnected = fields.pop("open_nets")  # they come last
     if as_json:
         click.echo(as_text({**fields, "open_nets": disconnected}))
         return

@@ -178,8 +178,8 @@ _BENCHMARK = ("score", "open", "overflow", "gap\n%", "at ref.\n%", "A*\nW/T/L", 
 """The headings of a benchmark's table."""
 
 
-def show_report(found: Mapping[str, Any], title: str) -> None:
-    """Prints what :func:`policies.results.report.report` returns."""
+def show_report(found: Mapping[str, Any], title: str, further: Mapping[str, Any]) -> None:
+    """Prints what :func:`policies.results.report.report` returns, and further figures."""
     detours = found["detours"]
     beyond = detours["wires"] - detours["bound"]
     share = f" ({100 * beyond / detours['bound']:.2f} %)" if detours["bound"] else ""
@@ -190,6 +190,7 @@ def show_report(found: Mapping[str, Any], title: str) -> None:
         f"wirelength {found['wirelength']}: {found['wires']} without vias, {found['vias']} vias",
         f"detours: {beyond} edges{share} above the lower bound {detours['bound']}, "
         f"in {detours['nets_with']} nets",
+        *(f"{name} {value}" for name, value in further.items() if name != "open_nets"),
         f"open nets: {len(found['open_nets'])}",
     ]
     click.echo("\n".join(map(_wrapped, lines)))

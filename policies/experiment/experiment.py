@@ -28,7 +28,7 @@ from policies.experiment.config import (
 from policies.experiment.part import Part, work_on
 from policies.results.folder import check_own, working_in
 from policies.results.rows import RESULTS, SUMMARY, Row, read_rows, to_csv
-from policies.results.run_folder import CONFIG, METRICS
+from policies.results.run_folder import CONFIG, METRICS, NO_ROUTES
 from policies.results.statistics import ALL, add_gaps, baseline, by_set, summarise
 from policies.results.utilisation import problem_type
 from policies.routers.registry import is_learner, unknown
@@ -157,6 +157,9 @@ class Experiment:
             for name in part.problems:
                 fits = is_file_name(name, f".{part.label}.solution")
                 check(f"problems.{part.set}: {name[:80]!r}", fits, FILE_NAME)
+        for name, problems in self.sets.items():
+            kept = any(problem.kept is not None for problem in problems.values())
+            check(f"problems.{name}.keep", not kept, f"none: {NO_ROUTES}")
         new = dict(self.sets)
         if before is not None:
             held = self.sets if isinstance(before.problems, str) else before.problems

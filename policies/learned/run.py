@@ -44,6 +44,7 @@ from policies.results.run_folder import (
     CONFIG,
     EVALUATIONS,
     METRICS,
+    NO_ROUTES,
     POLICY,
     RESULT,
     Episode,
@@ -198,9 +199,10 @@ class Run:
                 self.reference = {
                     name: scenario.reference(problem)[:2] for name, problem in self.problems.items()
                 }
-        for name in self.problems:
+        for name, problem in self.problems.items():
             fits = is_file_name(name, f".{config.learner.name}_policy.solution")
             check(f"problem {name[:80]!r}", fits, FILE_NAME)
+            check("env.problem.keep", problem.kept is None, f"none: {NO_ROUTES}")
         self.trainer = trainer_of(self.problems, episodes, config)
         self._seconds = self._processor_seconds = 0.0
         self._began = time.process_time()

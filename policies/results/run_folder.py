@@ -40,6 +40,8 @@ CONFIG, METRICS, CHECKPOINT = "config.yaml", "metrics.jsonl", "checkpoint.pt"
 EVALUATIONS = "evaluations.jsonl"
 POLICY, RESULT = "policy.pt", "result.json"
 
+NO_ROUTES = "run folders hold problems as ISPD text, which has no routes of nets that stay"
+
 
 Line = TypeVar("Line")
 

@@ -257,31 +257,60 @@ class _Pins(NamedTuple):
 
 
 def _located_pins(design: Design, shapes: Shapes) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The boxes of all connections, cut to the die.
+    """The boxes of all connections, as far as they are on the die.
 
     Nets with one pin that is nowhere on the die leave the design: there is nothing to route.
     """
+    if not design.nets:
+        raise InputError(f"{design.file}: expected at least one net with a pin")
     owner, boxes = _pin_boxes(design, shapes)
     left, low, right, high = design.box
-    on_die = (boxes[:, 1] < right) & (boxes[:, 3] > left)
+    placed, on_die = owner, (boxes[:, 1] < right) & (boxes[:, 3] > left)
     on_die &= (boxes[:, 2] < high) & (boxes[:, 4] > low)
-    for sides in shapes.outside:  # of a die that is no rectangle
-        on_die &= (boxes[:, 1:3] < sides[:2]).any(axis=1) | (boxes[:, 3:] > sides[2:]).any(axis=1)
-    missing = np.setdiff1d(np.arange(len(design.connections)), owner[on_die])
+    owner, boxes = owner[on_die], boxes[on_die]
+    for notch in shapes.outside:  # of a die that is no rectangle
+        owner, boxes = _without(owner, boxes, notch)
+    missing = np.setdiff1d(np.arange(len(design.connections)), owner)
     if not len(missing):
-        return owner[on_die], boxes[on_die]
+        return owner, boxes
     nets = np.searchsorted(design.first, missing, "right") - 1
     several = np.flatnonzero(np.diff(design.first)[nets] > 1)
     if len(several):
         net, connection = nets[several[0]], missing[several[0]]
         component, name = design.connections[connection]
-        lacks = "lies outside the die" if connection in owner else "has no shape in a routing layer"
+        lacks = (
+            "lies outside the die" if connection in placed else "has no shape in a routing layer"
+        )
         raise InputError(
             f"{design.file}:{design.lines[net]}: net {design.nets[net]}: "
             f"pin {name} of {component} {lacks}"
         )
     design.leave_out(set(nets.tolist()))
     return _located_pins(design, shapes)
+
+
+def _without(
+    owner: NDArray[np.int64], boxes: NDArray[np.int64], notch: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Boxes without the part of them that lies in a notch (4,), as up to four boxes around it."""
+    left, low, right, high = notch
+    _, x0, y0, x1, y1 = boxes.T
+    within = (x0 < right) & (x1 > left) & (y0 < high) & (y1 > low)
+    owners, parts = [owner[~within]], [boxes[~within]]
+    lower, upper = np.maximum(y0, low), np.minimum(y1, high)
+    for beyond, side, sides in (
+        (y0 < low, (4,), (lower,)),
+        (y1 > high, (2,), (upper,)),
+        (x0 < left, (2, 3, 4), (lower, np.full_like(x0, left), upper)),
+        (x1 > right, (1, 2, 4), (np.full_like(x0, right), lower, upper)),
+    ):
+        chosen = within & beyond
+        part = boxes[chosen]
+        for column, value in zip(side, sides, strict=True):
+            part[:, column] = value[chosen]
+        owners.append(owner[chosen])
+        parts.append(part)
+    return np.concatenate(owners), np.concatenate(parts)
 
 
 def _pin_gcells(

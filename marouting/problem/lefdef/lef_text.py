@@ -141,6 +141,8 @@ def _read_layer(words: Statements, library: Library, file: str) -> None:
     routing = False
     while words.peek().upper() != "END":
         keyword = words.keyword()
+        if keyword == "TYPE":  # klayout takes no other layers for routing than those in capitals
+            routing = words.keyword() == "ROUTING"
         rest = words.rest()
         first = rest[0].upper() if rest else ""
         if keyword.endswith("CURRENTDENSITY"):
@@ -149,8 +151,6 @@ def _read_layer(words: Statements, library: Library, file: str) -> None:
                 while words.keyword() != "TABLEENTRIES":
                     words.rest()
                 words.rest()
-        elif keyword == "TYPE":
-            routing = first == "ROUTING"
         elif keyword == "DIRECTION" and first in ("HORIZONTAL", "VERTICAL"):
             layer.axis = int(first == "VERTICAL")
         elif keyword == "WIDTH" and routing:

@@ -36,7 +36,7 @@ def copying(path: str | os.PathLike[str]) -> Iterator[Copy]:
 
 
 class Statements:
-    """The words of a file, without comments; ``copy`` gets every word that is read.
+    """The words of a file, without comments; ``copy`` gets the words of every line, once read.
 
     A text in quotes is one word. A semicolon or a parenthesis is a word of its own, also where no
     blank separates it from its neighbour.
@@ -45,7 +45,8 @@ class Statements:
     def __init__(self, lines: Lines, copy: Copy | None = None) -> None:
         self._lines = lines
         self._copy = copy
-        self._words: list[str] = []  # of the line last read
+        self._words: list[str] = []  # of the line last read that has any
+        self._begun = 0  # where that line begins
         self._at = 0  # the next one
 
     @property
@@ -60,10 +61,12 @@ class Statements:
         return word
 
     def keyword(self) -> str:
-        """The next word in capitals: keywords may be in any case."""
-        word = self.peek()
+        """The next word in capitals, also in the copy: keywords may be in any case."""
+        word = self.peek().upper()
+        if word:
+            self._words[self._at] = word
         self._at += 1
-        return word.upper()
+        return word
 
     def peek(self) -> str:
         """The next word, which stays the next one."""
@@ -109,17 +112,16 @@ class Statements:
 
     def _fill(self) -> None:
         """Takes the words of the next line that has any; none at the end of the file."""
+        if self._words and self._copy is not None:
+            self._copy.write(self._begun, " ".join(self._words))
         self._words, self._at = [], 0
         while not self._words and (text := self._lines.text()):
-            begun = self.line
+            self._begun = self.line
             text = text.removeprefix(_BOM).lstrip(" ")  # of a file that was joined to others
             if _unusual(text):
                 self._words = self._parted(text.split(" "))
-                text = " ".join(self._words)
             elif text:
                 self._words = text.split(" ")
-            if self._words and self._copy is not None:
-                self._copy.write(begun, text)
 
     def _parted(self, tokens: list[str]) -> list[str]:
         """The words of a line with a comment, quotes, or words that no blanks part."""
