@@ -110,7 +110,7 @@ def _announce(module: str) -> None:
         if compiles is not None and compiles not in _said:
             _said.add(compiles)
             what, seconds = compiles
-            text = f"compiling {what}, once per version: about {seconds} s"
+            text = f"compiling {what}, each variant once per version: about {seconds} s"
             print(text, file=sys.stderr, flush=True)
         module = "" if compiles else module.rpartition(".")[0]
 

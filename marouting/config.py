@@ -495,6 +495,6 @@ def check_code(data: Any, file: str, lines: Mapping[Keys, int] | None = None) ->
             )
             line = "" if at is None or lines is None else f":{lines[at]}"
             raise InputError(
-                f"{file}{line}: {'.'.join(keys)}: found code, {name}; pass --allow-code to import "
-                "it (allow_code=True in Python)"
+                f"{file}{line}: {'.'.join(keys)}: found code, {name}; pass --allow-code if you "
+                "trust it (allow_code=True in Python)"
             )

@@ -21,13 +21,16 @@ KEYS = ("seed", "out", "env", "learner", "train")
 
 
 def make(
-    config: str | os.PathLike[str] | Mapping[str, Any] | Any, *, allow_code: bool = False
+    config: str | os.PathLike[str] | Mapping[str, Any] | Any,
+    *,
+    parallel: bool = False,
+    allow_code: bool = False,
 ) -> Any:
     """Makes the environment that the ``env:`` part of a configuration describes.
 
     The key ``agents`` decides between two environments: ``single`` gives the Gymnasium environment
-    in which one player moves all nets, ``multi`` the PettingZoo AEC environment in which every net
-    is an agent.
+    in which one player moves all nets, ``multi`` the PettingZoo environment in which every net is
+    an agent.
 
     Args:
         config: the path of a YAML file; a mapping with a key ``env``, whose ``problem`` may also be
@@ -35,17 +38,19 @@ def make(
             :class:`marouting.options.EnvOptions`; or an object with one as its attribute ``env``.
             The other keys of a configuration (:data:`KEYS`) belong to trainings: their values are
             not looked at.
+        parallel: whether every net being an agent, all move in each step (PettingZoo's Parallel
+            environment) and not one after another (AEC).
         allow_code: whether a file may name observations and rewards as ``module:Class``, which is
             code that is imported. A mapping always may.
 
     Returns:
-        A ``gymnasium.Env`` or a ``pettingzoo.AECEnv``.
+        A ``gymnasium.Env``, ``pettingzoo.AECEnv`` or ``pettingzoo.ParallelEnv``.
 
     Raises:
         InputError: the configuration cannot be used; the message names the file or key and what was
             expected.
     """
-    from marouting.global_routing_v0 import env
+    from marouting.global_routing_v0 import env, parallel_env
 
     where = "config"
     if isinstance(config, str | os.PathLike):
@@ -70,7 +75,9 @@ def make(
     part = {"agents": "single", **with_suggestions(part)}
     known, found = get_args(Agents), part["agents"]
     check(f"{where}: env: agents", found in known, f"one of {', '.join(known)}, found {found!r}")
+    check(f"{where}: env: agents", found == "multi" or not parallel, "multi, for parallel=True")
+    make_multi = parallel_env if parallel else env
     try:
-        return env(**part) if part["agents"] == "multi" else GlobalRoutingSingle(**part)
+        return make_multi(**part) if found == "multi" else GlobalRoutingSingle(**part)
     except InputError as error:
         raise InputError(f"{where}: env: {error}") from None

@@ -95,10 +95,10 @@ class Player:
     ) -> None:
         for name, piece in (("observation", observation), ("reward", reward)):
             columns, plain = FORMS[name][:2]
-            what = f"an object with {columns}, which all but AEC, Parallel and gymnasium.make need"
-            fits, found = has_form(piece, columns, plain), f"found {type(piece).__name__}"
+            what = f"a method {columns}, which all but AEC, Parallel and gymnasium.make need"
+            fits, found = has_form(piece, columns, plain), f"found none in {type(piece).__name__}"
             if hasattr(piece, columns) and not fits:
-                found += f", which has a {plain} of its own and inherits {columns}"
+                found = f"found an inherited one in {type(piece).__name__}, beside its own {plain}"
             check(name, fits, f"{what}, {found}")
         self.engine, self.observation, self.reward = engine, observation, reward
         self.turned = turned and has_move_order(observation)

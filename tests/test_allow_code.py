@@ -163,7 +163,7 @@ def test_files_name_no_code_unless_the_command_says_so(
     assert status(words) == 2
     line = capsys.readouterr().err.splitlines()[-1]
     assert line.startswith(f"marouting: {said}")
-    assert "; pass --allow-code to import it" in line
+    assert "; pass --allow-code if you trust it" in line
     assert not (here / "ran").exists()
     assert str(here) not in sys.path
     if "other" in words or "env.reward=paper" in words:

@@ -234,7 +234,7 @@ def test_compiling_is_announced_before_it_begins(
         if argument == 21:
             monkeypatch.setattr(compiling, "_said", set())  # as in another process
         assert run_mine(source, argument)[0] == 2 * argument
-        line = "compiling what is mine, once per version: about 7 s\n"
+        line = "compiling what is mine, each variant once per version: about 7 s\n"
         assert capsys.readouterr().err == line * said
 
 
@@ -252,7 +252,7 @@ def test_routing_announces_what_it_compiles(tmp_path: Path) -> None:
             timeout=600,
         )  # fmt: skip
         assert json.loads(done.stdout)["connected"]
-        assert done.stderr.count("compiling the router, once per version: about ") == lines
+        assert done.stderr.count("compiling the router, each variant once per version: ") == lines
         assert done.stderr.count("compiling") == lines
 
 

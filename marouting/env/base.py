@@ -26,7 +26,7 @@ from marouting.observations import (
 from marouting.options import Agents, game_options
 from marouting.problem.grid import Grid
 from marouting.problem.solution import Solution
-from marouting.render import Window, ansi, rgb_array, scene_of
+from marouting.render import Scene, Window, ansi, rgb_array, scene_of
 from marouting.rewards import TeamPay, paid_by, payer_of
 from marouting.source import OTHER_GAME, ProblemStream, Source
 
@@ -300,12 +300,16 @@ class GameEnv(EzPickle):
         """The present routes."""
         return self.game.solution()
 
+    def scene(self) -> Scene:
+        """The present moment, as :meth:`render` draws it and animations show it."""
+        return scene_of(self._columns)
+
     def render(self) -> Any:
         """Renders the game according to ``render_mode``."""
         if self.render_mode is None:
             logger.warn("render() needs a render_mode: give one when you make the environment.")
             return None
-        scene = scene_of(self._columns)
+        scene = self.scene()
         if self.render_mode == "ansi":
             return ansi(scene)
         pixels = rgb_array(scene)

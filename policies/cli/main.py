@@ -267,12 +267,16 @@ def plot(paths: tuple[Path, ...], out: Path | None, as_json: bool) -> None:
     files that follow it, or with sequential A*'s solution if none follows. Prints the paths of the
     pictures.
     """
-    from policies.figures.plot import plot as draw
+    from policies.cli.progress import working
 
+    with working("drawing"):
+        from policies.figures.plot import plot as draw
+
+        drawn = list(draw(paths, out))
     if as_json:
-        click.echo(as_text({"files": list(draw(paths, out))}))
+        click.echo(as_text({"files": drawn}))
         return
-    for path in draw(paths, out):
+    for path in drawn:
         click.echo(path)
 
 

@@ -50,14 +50,15 @@ def training_bar(
     with _bar(unit) as (bar, task):
         kept = {episode.problem: episode for episode in best}
         shown = _best(kept) if kept else ""
-        bar.update(task, description=shown or "burn-in", total=total, completed=done)
+        last = "training"
+        bar.update(task, description=shown or last, total=total, completed=done)
 
         def watch(
             episodes: "Sequence[Episode]",
             walks: "Sequence[GreedyEvaluation]" = (),
             now: int | None = None,
         ) -> None:
-            nonlocal done, told, shown
+            nonlocal done, told, shown, last
             done = done + len(episodes) if now is None else now
             kept.update((episode.problem, episode) for episode in episodes if episode.best)
             if kept:
@@ -67,7 +68,8 @@ def training_bar(
                 if not bar.console.is_terminal and time.monotonic() - told >= _OFTEN:
                     told = time.monotonic()
                     click.echo(f"{min(done, total)}/{total} {unit}: {shown}", err=True)
-            last = f"last reward {episodes[-1].reward:.0f}"
+            if episodes:
+                last = f"last reward {episodes[-1].reward:.0f}"
             brief = f"{shown}; {last}" if shown else last
             bar.update(task, completed=done, description=brief)
 
@@ -128,7 +130,7 @@ def waiting(
     text = f"{name}: routing" if most is None else f"{name}: routing, for {most:g} s at most"
     held = Held()
     with contextlib.ExitStack() as stack:
-        show = stack.enter_context(_shown(text))
+        show = stack.enter_context(working(text))
         if isinstance(router, Watched):
             held = stack.enter_context(holding(*ENDING, tell=_tell_stopping))
             saved = time.monotonic()
@@ -150,8 +152,12 @@ def waiting(
 
 
 @contextlib.contextmanager
-def _shown(text: str) -> Iterator[Callable[[str], None]]:
-    """Shows a text that changes: a function to call with the new text."""
+def working(text: str) -> Iterator[Callable[[str], None]]:
+    """Says what is at work: at once on a terminal, elsewhere if it takes some seconds.
+
+    Yields:
+        A function to call with a new text.
+    """
     if sys.stderr.isatty():
         from rich.console import Console
         from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn

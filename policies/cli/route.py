@@ -90,15 +90,16 @@ def route(
     and loops, which --prune removes. The seconds, of wall time and of processor time, exclude
     compiling, loading and files.
     """
-    from policies.cli.progress import waiting
+    from policies.cli.progress import waiting, working
 
     results_alone()
     policy = None if router in router_names() else policy_file(Path(router))
     if policy is not None:
-        from policies.learned.policy import TrainedPolicy  # torch
-
         check("--checkpoint", checkpoint is None, f"none beside --router {router}")
-        checkpoint, router = policy, TrainedPolicy.load(policy, problem.stem).learner
+        with working(f"loading {policy}"):
+            from policies.learned.policy import TrainedPolicy  # torch
+
+            checkpoint, router = policy, TrainedPolicy.load(policy, problem.stem).learner
     elif checkpoint is not None:
         checkpoint = policy_file(checkpoint) or checkpoint
     learner = is_learner(router, "--router")
@@ -178,9 +179,11 @@ def _learned(
     stack: contextlib.ExitStack,
 ) -> "LearnedRouter":
     """A learner as a router, with a progress bar for its training until the stack is closed."""
-    from policies.cli.progress import training_bar
-    from policies.learned.config import load_config
-    from policies.learned.router import LearnedRouter
+    from policies.cli.progress import training_bar, working
+
+    with working("loading the learner"):
+        from policies.learned.config import load_config
+        from policies.learned.router import LearnedRouter
 
     for key in (text.partition("=")[0] for text in overrides):
         for part, reason in _NOT_ROUTED.items():

@@ -45,11 +45,9 @@ def train(
     written to the run folder, the key `out`. --resume DIR goes on with a run that was stopped;
     with a larger train.episodes (or train.steps, train.seconds) also with one that is finished.
     """
-    from policies.cli.progress import training_bar
+    from policies.cli.progress import training_bar, working
     from policies.cli.resolved import check_kind
     from policies.cli.tables import FEW, show, show_training
-    from policies.learned.config import load_config
-    from policies.learned.run import FALLING, Run
     from policies.results.run_folder import CHECKPOINT
 
     config, overrides = file_apart(config, overrides)
@@ -57,10 +55,14 @@ def train(
         raise InputError(f"--resume {resume}: expected a run folder, with a config.yaml in it")
     if config is not None:
         check_kind(config, "train")
-    settings = load_config(config or (resume and resume / "config.yaml"), overrides)
-    if resume is not None:
-        settings = replace(settings, out=str(resume))
-    run = Run(settings, resume=resume is not None)
+    with working("loading the learner and the problems"):
+        from policies.learned.config import load_config
+        from policies.learned.run import FALLING, Run
+
+        settings = load_config(config or (resume and resume / "config.yaml"), overrides)
+        if resume is not None:
+            settings = replace(settings, out=str(resume))
+        run = Run(settings, resume=resume is not None)
 
     def tell_rows(rows: Sequence[Mapping[str, Any]]) -> None:
         try:
@@ -106,4 +108,5 @@ def train(
     click.echo(f"learner {settings.learner.name}: {run.trainer.path}", err=True)
     with training_bar(*run.progress, run.best, run.reference) as watch:
         rows = run.execute(lambda some: watch(some, run.trainer.walks, run.progress[0]))
+        watch((), (), run.progress[0])
     tell_rows(rows)

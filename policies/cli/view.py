@@ -70,6 +70,7 @@ def view(
     next to the first. An animation replays one solution, move by move.
     """
     from policies import figures
+    from policies.cli.progress import working
     from policies.figures.animation import record, replay, save_animation
     from policies.figures.view import page
 
@@ -98,9 +99,7 @@ def view(
         text = f"{len(found)} solution{'s' if len(found) > 1 else ''} in {out}"
         tell(as_json, text, out=out, solutions=list(found))
         return
-    if checkpoint is not None:
-        scenes, name = _policy(checkpoint, loaded, problem.stem, frames), checkpoint.stem
-    else:
+    if checkpoint is None:
         if len(found) > 1:
             raise InputError(f"{out}: expected one SOLUTION to animate, found {len(found)}")
         ((name, routes),) = found.items()
@@ -108,8 +107,12 @@ def view(
         check(os.fspath(problem.path), loaded.to_route.any(), what)
         if open_nets := len(evaluate(loaded, routes).disconnected):
             click.echo(f"{open_nets} open nets: A* completes them in the animation", err=True)
-        scenes = record(replay(loaded, routes, turn_order or "sequential"), frames)
-    save_animation(scenes, out, f"{problem.stem}: {router_label(name)}")
+    with working(f"drawing {out}"):
+        if checkpoint is None:
+            scenes = record(replay(loaded, routes, turn_order or "sequential"), frames)
+        else:
+            scenes, name = _policy(checkpoint, loaded, problem.stem, frames), checkpoint.stem
+        save_animation(scenes, out, f"{problem.stem}: {router_label(name)}")
     count, caption = len(scenes), scenes[-1].caption
     tell(as_json, f"{count} pictures in {out}: {caption}", out=out, pictures=count, caption=caption)
 

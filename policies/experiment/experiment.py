@@ -211,8 +211,11 @@ class Experiment:
             now = {name: of for part in seeds for name, of in part.digests().items()}
             before = kept.get(entry.name, {}) if any(part.rows.exists() for part in own) else {}
             for name in now.keys() & before.keys():
-                what = f"that of the rows in {self.folder}, found it changed: give another out"
-                check(name, now[name] == before[name], what)
+                if now[name] != before[name]:
+                    raise InputError(
+                        f"{name}: changed since the rows in {self.folder} were made: expected "
+                        "another out"
+                    )
             if now or entry.name in kept:
                 kept[entry.name] = before | now
         return kept
@@ -394,7 +397,7 @@ def _shares(
         check(f"{where}.scenario", found == entry.zero_shot, what)
     if scenario is None and entry.plays and not is_learner(entry.router):
         known = hasattr(lookup("router", entry.router), "route")
-        what = f"one with a method route: moves alone play only scenarios with {RULE_COST}"
+        what = f"a class with a method route: one with moves alone plays scenarios with {RULE_COST}"
         check(f"{where}.router", known, what)
     if not entry.routes or (scenario is not None and entry.plays):
         return [tuple(problems)]
