@@ -93,7 +93,7 @@ def check_own_reward(out: str) -> None:
 
 
 def check_own_rule(out: str) -> None:
-    used, crossed = numbers(r"edges used: (\d+) of (\d+)", out)
+    used, crossed = numbers(r"wirelength: (\d+) = new edges crossed: (\d+)", out)
     assert used == crossed > 0
     assert 0 <= numbers(r"fullest via: (\d+)", out)[0] < 10
 

@@ -52,5 +52,5 @@ if __name__ == "__main__":
         crossed += not over and env.game.crossing[env.possible_agents.index(agent)] == NEW
     left = np.array(env.game.remaining)[VIA_AXIS::AXES]
     there = np.array(problem.capacity)[VIA_AXIS::AXES] > 0
-    print("edges used:", env.metrics()["wirelength"], "of", crossed)
+    print("wirelength:", env.metrics()["wirelength"], "= new edges crossed:", crossed)
     print("tracks left of the fullest via:", int(left[there].min()))

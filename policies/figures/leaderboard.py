@@ -24,7 +24,7 @@ def score_intervals(
     Each has a ``name`` and a ``score`` (``mean``, ``low`` and ``high``). Lines stand at the scores
     0 and 1.
     """
-    figure = Figure(figsize=(9, 1.6 + 0.34 * len(rows)), layout="constrained")
+    figure = Figure(figsize=(9, 1.6 + 0.34 * max(len(rows), 3)), layout="constrained")
     axes = figure.subplots()
     for x, label in enumerate(ENDS[policies]):
         axes.axvline(x, color=INK, linewidth=1, linestyle="--")
