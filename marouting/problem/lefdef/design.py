@@ -296,21 +296,14 @@ def _without(
     left, low, right, high = notch
     _, x0, y0, x1, y1 = boxes.T
     within = (x0 < right) & (x1 > left) & (y0 < high) & (y1 > low)
-    owners, parts = [owner[~within]], [boxes[~within]]
-    lower, upper = np.maximum(y0, low), np.minimum(y1, high)
-    for beyond, side, sides in (
-        (y0 < low, (4,), (lower,)),
-        (y1 > high, (2,), (upper,)),
-        (x0 < left, (2, 3, 4), (lower, np.full_like(x0, left), upper)),
-        (x1 > right, (1, 2, 4), (np.full_like(x0, right), lower, upper)),
-    ):
-        chosen = within & beyond
-        part = boxes[chosen]
-        for column, value in zip(side, sides, strict=True):
-            part[:, column] = value[chosen]
-        owners.append(owner[chosen])
-        parts.append(part)
-    return np.concatenate(owners), np.concatenate(parts)
+    parts = np.repeat(boxes[None], 4, axis=0)  # below it, above it, left of it, right of it
+    parts[0, :, 4] = parts[2:, :, 2] = np.maximum(y0, low)
+    parts[1, :, 2] = parts[2:, :, 4] = np.minimum(y1, high)
+    parts[2, :, 3] = left
+    parts[3, :, 1] = right
+    part, index = np.nonzero(within & np.array([y0 < low, y1 > high, x0 < left, x1 > right]))
+    owners = np.concatenate((owner[~within], owner[index]))
+    return owners, np.concatenate((boxes[~within], parts[part, index]))
 
 
 def _pin_gcells(
