@@ -108,5 +108,4 @@ def train(
     click.echo(f"learner {settings.learner.name}: {run.trainer.path}", err=True)
     with training_bar(*run.progress, run.best, run.reference) as watch:
         rows = run.execute(lambda some: watch(some, run.trainer.walks, run.progress[0]))
-        watch((), (), run.progress[0])
     tell_rows(rows)

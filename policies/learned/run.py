@@ -380,7 +380,7 @@ class Run:
         """Trains to the end and writes everything.
 
         Args:
-            watch: called with episodes as they finish, at least one at a time.
+            watch: called after some steps with the episodes that have finished since, perhaps none.
 
         Returns:
             The rows of ``result.json``.
@@ -424,7 +424,7 @@ class Run:
                 held.begun = True
                 if episodes or trainer.walks:
                     logs.write(episodes, trainer.walks)
-                if episodes and watch is not None:
+                if watch is not None:
                     watch(episodes)
                 due = time.monotonic() - saved >= config.train.checkpoint_seconds
                 if held.numbers or due:
