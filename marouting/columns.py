@@ -31,10 +31,11 @@ class Games(Protocol):
         tasks: (M, N) how many two-pin tasks every agent has.
         order: (M, N) the agents in turn order, then NOBODY.
         agents: columns (M, N) by name: ``agents["cell"]`` and the other columns of
-            :class:`marouting.game.Game`. Some are not alike everywhere: ``task`` counts the tasks
-            of one net or of all (``joined`` is alike); ``crossing``, ``ending`` and
-            ``added_overflow`` are those of the last move, or 0 if the agent did not move in this
-            step. So read these only of agents that moved, as rewards get them in ``movers``.
+            :class:`marouting.game.Game`. Some are not alike everywhere: in the batch, ``task``
+            is a row of all problems' tasks, in the plain game one of the net's own (``joined`` is
+            alike); ``crossing``, ``ending`` and ``added_overflow`` are those of the last move, or 0
+            if the agent did not move in this step. So read these only of agents that moved, as
+            rewards get them in ``movers``.
         games: figures (M,) by name: ``agent`` to move, agents ``active``, ``joined`` tasks,
             ``overflow``, ``wirelength``, ``steps`` made, ``round`` and ``asked``.
         remaining: (M, E) what is left of the capacity of every edge.

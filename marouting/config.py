@@ -110,8 +110,8 @@ def taken(value: Any, hint: Any) -> Any:
     *words, last = dict.fromkeys(form.words for form in forms)
     expected = f"{', '.join(words)} or {last}" if words else last
     new = RENAMED_VALUES.get(value) if isinstance(value, str) else None
-    hint = f", which is now {new}" if new and re.search(rf"\b{new}\b", expected) else ""
-    raise InputError(f"expected {expected}, found {_shown(value)}{hint}")
+    renamed = f", which is now {new}" if new and re.search(rf"\b{new}\b", expected) else ""
+    raise InputError(f"expected {expected}, found {_shown(value)}{renamed}")
 
 
 class _Form(NamedTuple):
@@ -307,7 +307,7 @@ _CONTEXT = {"network": 2, "learner": 1}
 
 
 class Component(NamedTuple):
-    """A piece that a configuration names, before it is made."""
+    """A piece that a configuration names, before it is made; :func:`take_pieces` makes them."""
 
     kind: str  # one of :data:`marouting.registry.KINDS`
     name: str  # a registered name or ``module:Class``
@@ -324,10 +324,6 @@ class Component(NamedTuple):
         if isinstance(self.options, self.cls):
             return dataclasses.replace(self.options)
         return self.cls(*context, self.options)
-
-
-Named = Component
-"""The type of a field that holds a piece; :func:`take_pieces` turns its value into one."""
 
 
 def piece_field(kind: str, name: str | None = None, **options: Any) -> Any:

@@ -313,6 +313,7 @@ class Game:
             if self.to_tree:
                 start, target = target, start
         self.task[n], self.steps[n], self.cell[n], self.target[n] = task, 0, start, target
+        # New sets: the Parallel environment keeps those of the task that has ended.
         self.begun[n] = self.begun[n] | {task}
         self.visited[n], self.taken[n] = {start}, set()
 

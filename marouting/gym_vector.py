@@ -15,7 +15,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from marouting.config import check
-from marouting.env.base import METADATA, ONE_PLAYER
+from marouting.env.base import METADATA, ONE_PLAYER, result_of
 from marouting.game import NOBODY
 from marouting.options import game_options
 from marouting.problem.net import is_whole
@@ -158,14 +158,9 @@ class GlobalRoutingVector(VectorEnv[Any, Any, Any]):
         told = {m: self._task_end(batch, m) for m in ended}
         joined = np.zeros(self.num_envs, np.bool_)
         for m in np.flatnonzero(over).tolist():
-            figures = vars(self._batch.engine.metrics(m))
-            joined[m] = figures["joined"] == figures["tasks"]
-            told.setdefault(m, {}).update(
-                metrics=dict(figures),
-                **figures,
-                open=figures["tasks"] - figures["joined"],
-                is_success=bool(joined[m] and not figures["overflow"]),
-            )
+            result = result_of(vars(self._batch.engine.metrics(m)))
+            joined[m] = result["open"] == 0
+            told.setdefault(m, {}).update(result)
         if self._mode is AutoresetMode.SAME_STEP and over.any():
             for m in np.flatnonzero(over).tolist():
                 last = {name: infos[name][m] for name in (self._mask.mask_key, "net")} | told[m]

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
-from marouting.config import Named, build, check, piece_field, take_pieces
+from marouting.config import Component, build, check, piece_field, take_pieces
 from marouting.errors import InputError, UnknownOption
 from marouting.generator import GeneratorOptions
 from marouting.old_names import unknown_key
@@ -60,8 +60,8 @@ class GameOptions(Rules):
     problem: ProblemSource | None = None
     scenario: str | None = None
     split: Split = "train"
-    observation: Named = piece_field("observation", "paper")
-    reward: Named = piece_field("reward", "paper")
+    observation: Component = piece_field("observation", "paper")
+    reward: Component = piece_field("reward", "paper")
     agents_persist: bool = False
     render_mode: RenderMode | None = None
 

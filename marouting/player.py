@@ -122,7 +122,7 @@ class Player:
 
         It is with the paper's observation and six actions, and a built-in reward.
         """
-        return self.fast.observation and self.fast.reward and self.engine.actions == MOVES
+        return self.fast.sees_paper and self.fast.pays_prices and self.engine.actions == MOVES
 
     def _bind(self) -> None:
         """Prepares the calls after the arrays have been replaced."""
@@ -130,7 +130,7 @@ class Player:
         self.played = buffers.actions
         if self.everyone:
             buffers.agents[:] = engine.pairs(everyone=True)[1].reshape(engine.nets.shape)
-        own_reward = not self.fast.reward
+        own_reward = not self.fast.pays_prices
         self._before: Earlier | None = None
         self.kernel_buffers = buffers
         if self.compiled:  # masks are written in pairs of bytes, which is faster
@@ -143,17 +143,17 @@ class Player:
             self._before = Earlier(now.agents.copy(), now.games.copy(), now.remaining.copy())
             # Where movers arrived, before their next tasks began.
             self._arrived = now._replace(agents=now.agents.copy(), sets=now.sets.copy())
-            self._mirror_games()
+            self._update_figures_before()
         if self.compiled:
             self._step = specialised(play, *self._arguments, True, True)
             return
-        nobody, nowhere = np.zeros(len(buffers.over), np.bool_), engine.games["agent"].copy()
-        self._settle = specialised(settle_games, *self._arguments, nobody, nowhere, NOT)
+        begins, on_turn = np.zeros(len(buffers.over), np.bool_), engine.games["agent"].copy()
+        self._settle = specialised(settle_games, *self._arguments, begins, on_turn, NOT)
         # Problems, agents and rows of those that have arrived.
         self._places = tuple(np.zeros(buffers.agents.size, np.int32) for _ in range(3))
-        self._list_arrived = specialised(list_arrived, *self._arguments, nowhere, *self._places)
+        self._list_arrived = specialised(list_arrived, *self._arguments, on_turn, *self._places)
         if not own_reward:
-            self._move = specialised(move_games, *self._arguments, nobody)
+            self._move = specialised(move_games, *self._arguments, begins)
 
     def reset(self, which: NDArray[np.bool_] | None = None) -> None:
         """Starts the episodes of all problems, or of those where ``which`` (M,) is true."""
@@ -169,8 +169,8 @@ class Player:
             return
         which = np.ascontiguousarray(which)  # as bound code expects it
         self._start(which)
-        nobody = np.full(len(over), NOBODY, np.int32)
-        self._settle(*self._arguments, which, nobody, NOT)
+        on_turn = np.full(len(over), NOBODY, np.int32)
+        self._settle(*self._arguments, which, on_turn, NOT)
         self._look(which)
         self._turn_masks()
 
@@ -230,7 +230,7 @@ class Player:
         self.engine.restore(saved.dynamic)
         for name in StepBuffers._fields:
             getattr(self.buffers, name)[...] = getattr(saved.buffers, name)
-        self._mirror(slice(None))
+        self._update_before(slice(None))
 
     @property
     def movers(self) -> NDArray[np.bool_]:
@@ -295,20 +295,20 @@ class Player:
 
     # --- any pieces ---------------------------------------------------------------------------
 
-    def _mirror(self, which: Any) -> None:
+    def _update_before(self, which: Any) -> None:
         """Copies the games of some problems to ``before``, which rewards are given."""
         if self._before is not None:
             self._before.agents[which] = self.engine.agents[which]
             self._before.remaining[which] = self.engine.remaining[which]
-            self._mirror_games()
+            self._update_figures_before()
 
-    def _mirror_games(self) -> None:
+    def _update_figures_before(self) -> None:
         """Copies the records of all games to ``before``."""
         if self._before is not None:
             self._before.games[...] = self.engine.games
-            # Edges that nets have just given back are paid for with the next move.
+            # Edges that nets have just released are paid for with the next move.
             games = self._before.games
-            ripped = np.flatnonzero(games["ripped"])
+            ripped = np.flatnonzero(games["just_ripped"])
             for name in ("joined", "overflow", "wirelength"):
                 games[name][ripped] = games[f"kept_{name}"][ripped]
 
@@ -317,32 +317,32 @@ class Player:
         b = self.buffers
         self._draw(which)
         self.engine.reset(which)
-        self._mirror(which)
+        self._update_before(which)
         b.acted[which] = b.over[which] = b.terminated[which] = b.truncated[which] = False
         b.reward[which] = b.total[which] = b.ending[which] = 0
 
     def _step_in_parts(self, restart: bool) -> None:
         b, engine = self.buffers, self.engine
         begins = b.over & restart
-        asked = engine.games["agent"].copy()
+        on_turn = engine.games["agent"].copy()
         if begins.any():
             self._start(begins)
         if self._before is None:
             self._move(*self._arguments, begins)
-            self._look_back(asked)
-            self._settle(*self._arguments, begins, asked, ALL)
+            self._look_back(on_turn)
+            self._settle(*self._arguments, begins, on_turn, ALL)
         else:
-            self._move_by_turns(self._before, begins, asked)
-            self._look_back(asked)
-            self._settle(*self._arguments, begins, asked, TURNS)
+            self._move_by_turns(self._before, begins, on_turn)
+            self._look_back(on_turn)
+            self._settle(*self._arguments, begins, on_turn, TURNS)
             if engine.static.options[Option.ROUNDS]:
-                self._mirror((engine.games["ripped"] | engine.games["asked"]) != 0)
+                self._update_before((engine.games["just_ripped"] | engine.games["asked"]) != 0)
             else:
-                self._mirror_games()
+                self._update_figures_before()
         self._look(None)
 
     def _move_by_turns(
-        self, before: Earlier, begins: NDArray[np.bool_], asked: NDArray[np.int32]
+        self, before: Earlier, begins: NDArray[np.bool_], on_turn: NDArray[np.int32]
     ) -> None:
         """Makes the moves, each with a call of the reward, and writes what came of them."""
         b, engine = self.buffers, self.engine
@@ -362,27 +362,29 @@ class Player:
                 # More may have changed than one edge of one net.
                 mover = engine.agents[np.arange(len(movers)), movers]
                 changed = (mover["crossing"] == ANSWERED) | (mover["ending"] != GOES_ON)
-                self._mirror(changed & (movers != NOBODY))
+                self._update_before(changed & (movers != NOBODY))
         if self.everyone:
             b.reward[:] = paid
             taken: Any = ...
         else:
             b.reward[:, 0] = paid.sum(axis=1)
-            taken = np.arange(len(asked)), asked
+            taken = np.arange(len(on_turn)), on_turn
         agents = engine.agents[taken].reshape(b.acted.shape)
-        nobody = begins if self.everyone else begins | (asked == NOBODY)
-        b.acted[:] = (agents["crossing"] != _STAYED) & ~nobody[:, None]
+        idle = begins if self.everyone else begins | (on_turn == NOBODY)
+        b.acted[:] = (agents["crossing"] != _STAYED) & ~idle[:, None]
         b.ending[:] = np.where(b.acted, agents["ending"], GOES_ON)
         b.total[:] += b.reward.sum(axis=1, dtype=np.float64)
 
-    def _look_back(self, asked: NDArray[np.int32]) -> None:
+    def _look_back(self, on_turn: NDArray[np.int32]) -> None:
         """Writes what agents saw where they arrived, whose tasks ended or who pass the turn."""
         b, engine = self.buffers, self.engine
-        count = self._list_arrived(*self._arguments, asked, *self._places)
+        count = self._list_arrived(*self._arguments, on_turn, *self._places)
         if not count:
             return
         problems, agents, rows = (array[:count] for array in self._places)
-        if self._before is not None:  # those whose tasks have ended stand elsewhere by now
+        if self._before is not None:
+            # Those whose tasks have ended stand elsewhere by now, or are done. Observations see how
+            # many agents are active: as many as before these were settled.
             active = engine.games["active"].copy()
             settled = engine.agents["status"][problems, agents]
             np.add.at(engine.games["active"], problems, settled != ACTIVE)
@@ -402,7 +404,7 @@ class Player:
         """Swaps what changes for agents (K,) when their next tasks begin, as far as it is seen."""
         now, arrived, at = self.engine.dynamic, self._arrived, (problems, agents)
         now.agents[at], arrived.agents[at] = arrived.agents[at], now.agents[at]
-        for option in (Option.VISITED, Option.TRIED):
+        for option in (Option.VISITED, Option.BEGUN):
             if (begin := self.engine.static.options[option]) >= 0:
                 rows = problems, begin + agents
                 now.sets[rows], arrived.sets[rows] = arrived.sets[rows], now.sets[rows]
@@ -412,7 +414,7 @@ class Player:
     ) -> None:
         """Writes what K agents see."""
         engine, fast = self.engine, self.fast
-        if fast.observation:
+        if fast.sees_paper:
             see_paper(engine.static, engine.dynamic, fast.via_capacity, problems, agents, out)
         else:
             if self._clears:

@@ -51,7 +51,7 @@ from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.registry import register
 
 _MOST, _MOST_WEIGHT = 1e30, 1e6
-"""The largest reward: rewards are float32, and are added up."""
+"""The largest price, as rewards are float32 and are added up; and the largest weight of a part."""
 
 
 class Reward(Protocol):

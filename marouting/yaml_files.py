@@ -3,6 +3,7 @@
 What comes out is plain data, of which :mod:`marouting.config` makes checked options.
 """
 
+import functools
 import json
 import os
 import re
@@ -183,21 +184,20 @@ def read_yaml(path: str | os.PathLike[str]) -> dict[str, Any]:
     files of the package (``configs/…``). Values of a file replace those of the files that it
     includes, and later files in a list replace earlier ones (:func:`merged`).
     """
-    whole: dict[str, Any] = {}
-    for file in _files(path):
-        whole = merged(whole, file.data)
-    return whole
+    return _whole(_files(path))
 
 
 def origins_of(path: str | os.PathLike[str]) -> dict[Keys, tuple[str, int]]:
     """The file and line of every value that :func:`read_yaml` reads, by the keys to it."""
     files = _files(path)
-    whole: dict[str, Any] = {}
-    for file in files:
-        whole = merged(whole, file.data)
     # A value is from the last file that has one there.
     lines = {keys: (file.name, line) for file in files for keys, line in file.lines.items()}
-    return {keys: lines[keys] for keys, _ in leaves(whole) if keys in lines}
+    return {keys: lines[keys] for keys, _ in leaves(_whole(files)) if keys in lines}
+
+
+def _whole(files: Sequence[_File]) -> dict[str, Any]:
+    """What files say together, later ones before earlier ones."""
+    return functools.reduce(merged, (file.data for file in files), {})
 
 
 _INSTEAD = {"scenario": ("problem",), "problem": ("scenario", "split")}

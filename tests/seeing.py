@@ -45,7 +45,7 @@ def open_tasks(engine: Engine, m: int, n: int) -> list[tuple[Gcell, Gcell]]:
     first, end = engine.static.first[m, n : n + 2].tolist()
     rows = [row for row in range(first, end) if row > agent["task"]]
     if engine.rules.next_pin == "nearest":
-        tried = np.unpackbits(option_state(engine, Option.TRIED)[m, n], bitorder="little")
+        tried = np.unpackbits(option_state(engine, Option.BEGUN)[m, n], bitorder="little")
         rows = [row for row in range(first, end) if not tried[row - first]]
     if engine.rules.next_pin == "nearest" or engine.rules.target == "tree":
         # The tree as it was when the present task began: test_engine holds it against the model.

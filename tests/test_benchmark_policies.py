@@ -308,7 +308,7 @@ def test_what_is_refused(router: str, capsys: pytest.CaptureFixture[str]) -> Non
         ),
         (
             ["--scenario", "toy-4x4-v0", "--router", "own:First"],
-            r"own-First.router: expected one with a method route: moves alone play only scenarios ",
+            r"own-First.router: expected a class with a method route: one with moves alone plays ",
         ),
     ],
 )
@@ -396,6 +396,9 @@ def made(name: str = "mine", costs: tuple[int, ...] = (105, 110, 130), **changes
 def test_a_summary_worked_out_by_hand(tmp_path: Path) -> None:
     row = summarise(made())
     assert row["costs"] == pytest.approx([1.05, 1.1, 1.3])
+    # A cost of open tasks need not be a whole number.
+    file = made(scale=Scale(local_rule=1.2, open_cost=20.5)).write(tmp_path / "half")
+    assert summarise(read_result(file))["costs"] == pytest.approx([1.05, 1.1, 1.305])
     scores = [0.75, 0.5, -0.5]
     assert row["score"]["mean"] == pytest.approx(stats.trim_mean(scores, 0.25))
     assert -0.501 < row["score"]["low"] < row["score"]["mean"] < row["score"]["high"] < 0.751

@@ -32,7 +32,7 @@ def test_agents_walk_along_cheapest_trees(problem: Problem, next_pin: str, seed:
     engine = Engine([problem], next_pin=next_pin, **RULES)
     trees, rng, walked = make_trees(engine, 5), np.random.default_rng(seed), 0
     while (n := int(engine.games["agent"][0])) != NOBODY:
-        number, again = (engine.games[name][0] for name in ("round", "picked"))
+        number, again = (engine.games[name][0] for name in ("round", "reroutes"))
         costs = edge_costs(engine, 0, n, None)
         if not is_priced(engine, 0):  # an edge where the net would overflow: as dear as can be
             costs = {edge: cost if cost == 1 else 60 for edge, cost in costs.items()}
@@ -50,7 +50,7 @@ def test_agents_walk_along_cheapest_trees(problem: Problem, next_pin: str, seed:
             edges = [edge for edge in costs if used[edge_number(problem, edge)]]
             engine.settle(everyone=False)
             game = engine.games[0]
-            if (game["agent"], game["round"], game["picked"]) != (n, number, again):
+            if (game["agent"], game["round"], game["reroutes"]) != (n, number, again):
                 break
         cost = sum(costs[edge] or 0 for edge in edges)
         assert cost == pytest.approx(cheapest_tree(costs, pins))

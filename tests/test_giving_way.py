@@ -125,7 +125,7 @@ def test_neighbours_come_by_and_by() -> None:
         masks = engine.masks(*engine.pairs(everyone=False))
         engine.step(np.array([rng.choice(np.flatnonzero(masks[0]))]))
         number = engine.games[0]["round"]
-        most[number] = max(most[number], engine.games[0]["again"])
+        most[number] = max(most[number], engine.games[0]["ripped"])
     assert most.tolist()[1:] == [1, 1, 2, 2, 3, 3, 4, 4]
 
 
@@ -160,9 +160,9 @@ def test_no_round_makes_anything_worse(options: dict[str, Any], seed: int) -> No
             move = guide.moves(problems, agents)
         else:
             move = rng.choice(np.flatnonzero(mask), 1)
-        was = engine.games[0]["ripped"]
+        was = engine.games[0]["just_ripped"]
         engine.step(np.asarray(move, np.int8))
-        if engine.games[0]["ripped"] and not was:
+        if engine.games[0]["just_ripped"] and not was:
             now = engine.games[0]
             kept = (-now["kept_joined"], now["kept_overflow"], now["kept_wirelength"])
             assert best is None or kept <= best
@@ -209,7 +209,7 @@ def test_nets_negotiate_and_end_with_the_best_routes(
             scores.append((-game["began_joined"], game["began_overflow"], game["began_wirelength"]))
             over = engine.dynamic.remaining[0] < 0
             risen = option_state(engine, Option.PRICES)[0] > prices
-            if game["plain"] == 0 and not game["ripped"]:
+            if game["plain"] == 0 and not game["just_ripped"]:
                 assert (risen == over).all() or number == 1
             prices = option_state(engine, Option.PRICES)[0].copy()
     now = engine.metrics()

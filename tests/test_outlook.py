@@ -331,7 +331,7 @@ def test_the_loop_walks_as_the_network_does(choose: str, rounds: int) -> None:
     def length(m: int, n: int) -> int:
         return int(np.unpackbits(engine.dynamic.used[m, n]).sum())
 
-    def gives_way(m: int, n: int) -> bool:
+    def rips_up(m: int, n: int) -> bool:
         game, edges = engine.games[m], engine.dynamic.used[m, n]
         over = np.packbits(engine.dynamic.remaining[m] < 0, bitorder="little")
         if engine.agents[m, n]["joined"] < engine.tasks[m, n]:
@@ -360,8 +360,8 @@ def test_the_loop_walks_as_the_network_does(choose: str, rounds: int) -> None:
             if n == NOBODY:
                 continue
             if engine.games[m]["asked"]:
-                answers.add(gives_way(m, n))
-                moves[m] = RIP_UP if gives_way(m, n) else 0
+                answers.add(rips_up(m, n))
+                moves[m] = RIP_UP if rips_up(m, n) else 0
                 continue
             late = 4 * engine.agents[m, n]["steps"] >= engine.max_steps
             by = -rows[m, seen.layout["detour"]][:6] if late else scores[m]

@@ -236,7 +236,7 @@ def test_a_training_ends_after_so_many_steps(tmp_path: Path) -> None:
     assert again.finished == run.finished
     policy = TrainedPolicy.load(tmp_path / "a" / "policy.pt")
     found = policy.evaluate("gates-8x7-v0", "validation")
-    assert again.standing()[0] == found
+    assert again.scenario_results()[0] == found
     solved = {row["problem"]: row for row in run.finished if row["router"] == "ppo_policy"}
     for row in found.rows[:6]:  # in a batch of all problems as alone
         assert (row.wirelength, row.joined) == tuple(
@@ -253,7 +253,7 @@ def test_a_training_may_end_before_its_first_episode(tmp_path: Path) -> None:
     again = Run(config, resume=True)
     assert again.episodes[0] == 0
     assert again.finished == rows
-    assert again.standing()[0].problems == 50
+    assert again.scenario_results()[0].problems == 50
     assert status(["train", "--resume", str(tmp_path / "a")]) == 0
 
 

@@ -149,8 +149,8 @@ def test_compiled_rewards_are_those_by_columns(
         for one in (reward, ByColumns(**reward))
     ]
     compiled, by_columns = batches
-    assert compiled._players[0].fast.reward
-    assert not by_columns._players[0].fast.reward
+    assert compiled._players[0].fast.pays_prices
+    assert not by_columns._players[0].fast.pays_prices
     rng = np.random.default_rng(seed)
     for batch in batches:
         batch.reset()

@@ -926,7 +926,7 @@ def test_a_step_may_fill_several_rollouts() -> None:
     trainer = Trainer({"a": tiny(0), "b": tiny(1)}, build(Config, raw))
     for _ in trainer.run():
         assert trainer.player.buffers.acted.size == 192
-        assert trainer.learner.stored.max() < 48
+        assert trainer.learner.rollout.count.max() < 48
     # Two epochs of three minibatches each time.
     assert trainer.learner.updates.max() % 6 == 0
     assert trainer.learner.updates.max() > 6 * 192 // 48

@@ -600,8 +600,8 @@ def test_compiled_moves_and_moves_by_turns_are_the_same(
         for reward in (PaperReward(**prices), ByTurns(**prices))
     ]
     fast, slow = players
-    assert fast.fast.reward
-    assert not slow.fast.reward
+    assert fast.fast.pays_prices
+    assert not slow.fast.pays_prices
     rng = np.random.default_rng(seed)
     for player in players:
         player.reset()

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 import marouting
-from marouting.config import Named, build, check, piece_field, take_pieces
+from marouting.config import Component, build, check, piece_field, take_pieces
 from marouting.game import Ending
 from policies.cli.tables import show
 from policies.learned.config import Config
@@ -30,7 +30,7 @@ from policies.learned.run import Run
 class SarsaOptions:
     """What expected SARSA is told."""
 
-    network: Named = piece_field("network", "mlp")  # these three names are known to the trainer
+    network: Component = piece_field("network", "mlp")  # these three names are known to the trainer
     masking: bool = True  # whether only moves that cross an edge are chosen
     num_envs: int = 8  # games of every problem that are played side by side
     gamma: float = 0.95
@@ -61,9 +61,6 @@ class ExpectedSarsa(Learner):
     def exploration(self, episode):  # noqa: ARG002
         """The chance of a random move, for logs."""
         return self.options.epsilon
-
-    def observe(self, player, before):
-        """Learns only from its own moves."""
 
     def play(self, player, steps):
         """Acts and learns for some steps, or until an episode ends."""

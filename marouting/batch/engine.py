@@ -114,6 +114,7 @@ class Engine:
         **changes: fields of :class:`marouting.rules.Rules` that differ from ``rules``.
 
     Attributes:
+        rules, room, negotiation: as given.
         priced: whether there are priced rounds.
         grid: the grid that all problems share.
         nets: (M, N) int32, the net of every agent; NOBODY where there is no agent.
@@ -229,7 +230,7 @@ class Engine:
         _reset(self.static, self.dynamic, which)
 
     def begin_plain(self, which: NDArray[np.bool_]) -> None:
-        """Makes priced first walks of problems ``which`` (M,), not begun, plain ones."""
+        """Problems ``which`` (M,), all at the beginning, are first routed without prices."""
         if not self.priced or self.games["steps"][which].any():
             raise ValueError("which: expected problems at the beginning of a priced first walk")
         self.games["plain"][which] = 1
@@ -324,8 +325,8 @@ class Engine:
         """Raises ValueError for numbers that compiled code could not use as indices."""
         agents, games, options = saved.agents, saved.games, self.static.options
         nets, gcells, tasks = self.nets.shape[1], self.grid.gcells, len(self.static.tasks)
-        line, again = options[Option.LINE], options[Option.AGAIN]
-        most = max(int(options[Option.AGAIN_MOST]), 0)
+        line, again = options[Option.LINE], options[Option.RIPPED]
+        most = max(int(options[Option.RIPPED_MOST]), 0)
         limits = {
             "cell": (agents["cell"], 0, gcells - 1),
             "target": (agents["target"], 0, gcells - 1),
@@ -335,7 +336,7 @@ class Engine:
             "agent": (games["agent"], NOBODY, nets - 1),
             "turn": (games["turn"], 0, nets - 1),
             "place": (games["place"], 0, nets),
-            "again": (games["again"], 0, most),
+            "ripped": (games["ripped"], 0, most),
             "line": (saved.numbers[:, line : line + nets * (line >= 0)], NOBODY, nets - 1),
             "rerouted": (saved.numbers[:, again : again + most * (again >= 0)], NOBODY, nets - 1),
         }

@@ -18,7 +18,7 @@ from marouting.observations import Observation, local_radius_of, space_of
 from marouting.problem.grid import VIA_AXIS
 from marouting.problem.problem import Problem
 
-_SETS = (Option.TREE, Option.VISITED, Option.TAKEN, Option.TRIED)
+_SETS = (Option.TREE, Option.VISITED, Option.TAKEN, Option.BEGUN)
 _FIGURES = ("active", "joined", "steps", "overflow", "wirelength")
 
 

@@ -13,7 +13,7 @@ from marouting.batch.state import Option
 from marouting.columns import Columns, Games
 from marouting.game import Game
 
-_SETS = {"tree": Option.TREE, "visited": Option.VISITED, "begun": Option.TRIED}
+_SETS = {"tree": Option.TREE, "visited": Option.VISITED, "begun": Option.BEGUN}
 
 
 def engine_of(games: Games) -> Engine:

@@ -15,7 +15,7 @@ from marouting.batch.observation import paper_reward
 from marouting.batch.places import distance
 from marouting.batch.rules import may_move, move_agent, move_of
 from marouting.batch.state import Dynamic, Option, Static
-from marouting.batch.tasks import wait
+from marouting.batch.tasks import clear_move
 from marouting.game import NOBODY, Crossing, Ending, Status
 from marouting.kernels import as_index, compiled, i64, inlined
 from marouting.problem.grid import AXES, MOVES, VIA_AXIS
@@ -40,7 +40,7 @@ def move_and_pay(
         if may_move(dynamic, m, n, alone, move):
             team += _move_one(static, dynamic, fast, m, n, as_index(move), reward)
         else:
-            wait(dynamic, m, n)
+            clear_move(dynamic, m, n)
     if team == 0:
         return
     agents = 0
@@ -60,7 +60,7 @@ def _move_one(
     """An agent moves: pays it and the others; returns what all nets are paid."""
     game, agent, prices = dynamic.games[m], dynamic.agents[m, n], fast.prices
     overflow, joined, wirelength = i64(game.overflow), i64(game.joined), i64(game.wirelength)
-    if game.ripped:  # edges that nets have just given back are paid for with this move
+    if game.just_ripped:  # edges that nets have just released are paid for with this move
         overflow, joined = i64(game.kept_overflow), i64(game.kept_joined)
         wirelength = i64(game.kept_wirelength)
     cell, first_walk = as_index(agent.cell), game.round == 0

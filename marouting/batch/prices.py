@@ -143,7 +143,7 @@ def net_cost(
 
 
 @compiled
-def _calmed(static: Static, dynamic: Dynamic, m: int, step: int) -> int:
+def _decayed(static: Static, dynamic: Dynamic, m: int, step: int) -> int:
     """What is left of a step of the prices, after so many negotiations."""
     game = dynamic.games[m]
     if game.best_overflow > 0:
@@ -153,10 +153,10 @@ def _calmed(static: Static, dynamic: Dynamic, m: int, step: int) -> int:
 
 @compiled
 def _raise(static: Static, dynamic: Dynamic, m: int) -> None:
-    """Before a priced round: edges with overflow get dearer, and ``present`` grows."""
+    """Before a priced round: edges with overflow get more expensive, and ``present`` grows."""
     game, first = dynamic.games[m], first_present(static)
     rise = min(_RISE * max(i64(game.present), first) // first, i64(MOST_RISE))
-    prices, rise = as_index(static.options[Option.PRICES]), _calmed(static, dynamic, m, rise)
+    prices, rise = as_index(static.options[Option.PRICES]), _decayed(static, dynamic, m, rise)
     for edge in range(static.capacity.shape[1]):
         if dynamic.remaining[m, edge] < 0:
             dynamic.numbers[m, prices + edge] += rise
@@ -173,7 +173,7 @@ def _lower(static: Static, dynamic: Dynamic, m: int) -> None:
         price = i64(dynamic.numbers[m, prices + edge])
         if price == 0:
             continue
-        price -= _calmed(static, dynamic, m, price * _FALL // 100)
+        price -= _decayed(static, dynamic, m, price * _FALL // 100)
         dynamic.numbers[m, prices + edge] = price - price % (WHOLE // UNIT)
     dynamic.games[m].present = 0
     dynamic.games[m].negotiations += 1
@@ -184,8 +184,8 @@ def note_best(static: Static, dynamic: Dynamic, m: int) -> None:
     """Notes the present routes if they are better than the best so far."""
     game = dynamic.games[m]
     # More tasks joined, then less overflow, then less wirelength.
-    best = game.best_joined, game.overflow, game.wirelength
-    if best >= (game.joined, game.best_overflow, game.best_wirelength):
+    now = -game.joined, game.overflow, game.wirelength
+    if now >= (-game.best_joined, game.best_overflow, game.best_wirelength):
         return
     game.best_joined, game.best_overflow = game.joined, game.overflow
     game.best_wirelength = game.wirelength

@@ -26,7 +26,7 @@ from marouting.batch.edges import use_edges
 from marouting.batch.places import grid_of
 from marouting.batch.prices import choose_kind, is_priced, net_cost, put_best, take_routes
 from marouting.batch.state import Choice, Dynamic, Option, Static
-from marouting.batch.tasks import begin_net, begin_task, is_on, next_task, wait
+from marouting.batch.tasks import begin_net, begin_task, clear_move, is_on, next_task
 from marouting.game import NOBODY, Crossing, Ending, Status
 from marouting.kernels import as_index, compiled, i64
 from marouting.problem.grid import AXES, VIA_AXIS
@@ -70,7 +70,7 @@ def _begin_round(static: Static, dynamic: Dynamic, m: int) -> None:
     game = dynamic.games[m]
     choose_kind(static, dynamic, m)
     game.round += 1
-    game.place = game.picked = 0
+    game.place = game.reroutes = 0
     game.began_joined, game.began_overflow = game.joined, game.overflow
     game.began_wirelength = game.wirelength
     history, first = as_index(static.options[Option.HISTORY]), as_index(static.options[Option.LINE])
@@ -93,7 +93,7 @@ def _begin_round(static: Static, dynamic: Dynamic, m: int) -> None:
 
 
 @compiled
-def _walks_again(static: Static, dynamic: Dynamic, m: int, n: int) -> bool:
+def _is_chosen(static: Static, dynamic: Dynamic, m: int, n: int) -> bool:
     """Whether a net is ripped up now that it is considered."""
     rip_up = static.options[Option.RIP_UP]
     if rip_up == Choice.CONFLICTS or rip_up == Choice.HISTORY:
@@ -119,14 +119,14 @@ def _box(static: Static, m: int, n: int, joined: int) -> tuple[int, int, int, in
 
 
 @compiled
-def _find_neighbours(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
+def _in_the_way(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
     """Fills ``again`` with a net and those that stand in its way; returns how many they are."""
-    o, most = static.options, static.options[Option.AGAIN_MOST]
+    o, most = static.options, static.options[Option.RIPPED_MOST]
     if o[Option.PATIENCE] > 0:
         most = min(most, 1 + (i64(dynamic.games[m].plain) - 1) // o[Option.PATIENCE])
     if is_priced(static, dynamic, m):
         most = i64(1)
-    again = dynamic.numbers[m, o[Option.AGAIN] : o[Option.AGAIN] + most]
+    again = dynamic.numbers[m, o[Option.RIPPED] : o[Option.RIPPED] + most]
     counts = dynamic.numbers[m, o[Option.QUEUE] : o[Option.QUEUE] + most]
     blocking = as_index(o[Option.KEPT])
     again[0], size = n, i64(1)
@@ -181,17 +181,17 @@ def rip_up(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     game = dynamic.games[m]
     game.kept_joined, game.kept_overflow = game.joined, game.overflow
     game.kept_wirelength = game.wirelength
-    game.again = game.active = _find_neighbours(static, dynamic, m, n)
-    game.picked += 1
-    game.ripped = 1
+    game.ripped = game.active = _in_the_way(static, dynamic, m, n)
+    game.reroutes += 1
+    game.just_ripped = 1
     if not static.sequential:
         game.turn = static.order.shape[1] - 1  # the turn passes to the first of them
     o = static.options
-    for k in range(o[Option.AGAIN_MOST]):
-        if k >= game.again:
-            dynamic.numbers[m, o[Option.AGAIN] + k] = NOBODY
+    for k in range(o[Option.RIPPED_MOST]):
+        if k >= game.ripped:
+            dynamic.numbers[m, o[Option.RIPPED] + k] = NOBODY
             continue
-        member = as_index(dynamic.numbers[m, o[Option.AGAIN] + k])
+        member = as_index(dynamic.numbers[m, o[Option.RIPPED] + k])
         agent = dynamic.agents[m, member]
         dynamic.numbers[m, o[Option.KEPT_JOINED] + k] = agent.joined
         kept = as_index(o[Option.KEPT] + k)
@@ -204,15 +204,15 @@ def rip_up(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
         if is_priced(static, dynamic, m):
             game.kept_cost = net_cost(static, dynamic, m, member, dynamic.sets, kept, i64(0))
         agent.status = Status.ACTIVE
-        wait(dynamic, m, member)
+        clear_move(dynamic, m, member)
         begin_net(static, dynamic, m, member)
 
 
 @compiled
-def all_have_walked(static: Static, dynamic: Dynamic, m: int) -> bool:
+def all_rerouted(static: Static, dynamic: Dynamic, m: int) -> bool:
     """Whether all nets that are rerouted have ended their last tasks."""
-    for k in range(dynamic.games[m].again):
-        member = i64(dynamic.numbers[m, static.options[Option.AGAIN] + k])
+    for k in range(dynamic.games[m].ripped):
+        member = i64(dynamic.numbers[m, static.options[Option.RIPPED] + k])
         agent = dynamic.agents[m, member]
         # An agent that has ended a task either stands where it arrived, or at its next start.
         if agent.status != Status.ACTIVE:
@@ -228,55 +228,50 @@ def all_have_walked(static: Static, dynamic: Dynamic, m: int) -> bool:
 def judge(static: Static, dynamic: Dynamic, m: int) -> None:
     """Once nets are rerouted: if that made the problem worse, they get their old routes back."""
     game = dynamic.games[m]
-    before = game.joined, game.kept_overflow, game.kept_wirelength
-    worse = (game.kept_joined, game.overflow, game.wirelength) > before
+    before = -game.kept_joined, game.kept_overflow, game.kept_wirelength
+    worse = (-game.joined, game.overflow, game.wirelength) > before
     if game.joined == game.kept_joined and is_priced(static, dynamic, m):
-        n = as_index(dynamic.numbers[m, static.options[Option.AGAIN]])
+        n = as_index(dynamic.numbers[m, static.options[Option.RIPPED]])
         worse = net_cost(static, dynamic, m, n, dynamic.used, n, i64(1)) > game.kept_cost
     o = static.options
-    for k in range(game.again):
-        member = as_index(dynamic.numbers[m, o[Option.AGAIN] + k])
+    for k in range(game.ripped):
+        member = as_index(dynamic.numbers[m, o[Option.RIPPED] + k])
         if worse:
             kept, joined = (
                 as_index(o[Option.KEPT] + k),
                 dynamic.numbers[m, o[Option.KEPT_JOINED] + k],
             )
             take_routes(static, dynamic, m, member, kept, joined)
-        dynamic.numbers[m, o[Option.AGAIN] + k] = NOBODY
+        dynamic.numbers[m, o[Option.RIPPED] + k] = NOBODY
     if worse:
         game.joined = game.kept_joined
-    game.again = 0
+    game.ripped = 0
 
 
 @compiled
-def has_walked(dynamic: Dynamic, m: int) -> bool:
-    """Whether all nets that were ripped up have been rerouted and judged."""
-    return dynamic.games[m].round > 0 and dynamic.games[m].again == 0
-
-
-@compiled
-def done(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
+def final_status(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
     """The status of an agent that has no more tasks: TERMINATED or TRUNCATED."""
     tasks = static.first[m, n + 1] - static.first[m, n]
     return Status.TERMINATED if dynamic.agents[m, n].joined == tasks else Status.TRUNCATED
 
 
 @compiled
-def walk_again(static: Static, dynamic: Dynamic, m: int) -> None:
+def rip_up_next(static: Static, dynamic: Dynamic, m: int) -> None:
     """When no agent is active: the next net is ripped up or asked, or the episode is over."""
     game = dynamic.games[m]
     agents, line = static.order.shape[1], as_index(static.options[Option.LINE])
     while True:
         over = game.round == 0 or game.place == agents
         if over or dynamic.numbers[m, line + game.place] == NOBODY:
-            if game.round == static.options[Option.ROUNDS] or (game.round > 0 and game.picked == 0):
+            last = game.round == static.options[Option.ROUNDS]
+            if last or (game.round > 0 and game.reroutes == 0):
                 break
             _begin_round(static, dynamic, m)
             continue
         turn = as_index(dynamic.numbers[m, line + game.place])
         n = i64(static.order[m, turn])
         game.place += 1
-        if not _walks_again(static, dynamic, m, n):
+        if not _is_chosen(static, dynamic, m, n):
             continue
         game.turn = turn
         if static.options[Option.RIP_UP] == Choice.AGENTS:
@@ -290,18 +285,18 @@ def walk_again(static: Static, dynamic: Dynamic, m: int) -> None:
         put_best(static, dynamic, m)
     for n in range(agents):
         if dynamic.agents[m, n].status == Status.WAITING:
-            dynamic.agents[m, n].status = done(static, dynamic, m, n)
+            dynamic.agents[m, n].status = final_status(static, dynamic, m, n)
 
 
 @compiled
-def answer(static: Static, dynamic: Dynamic, m: int, n: int, gives_way: bool) -> None:
+def answer(static: Static, dynamic: Dynamic, m: int, n: int, rips_up: bool) -> None:
     """An agent that was asked answers whether to rip up its net."""
     agent, game = dynamic.agents[m, n], dynamic.games[m]
     game.asked = 0
     game.steps += 1
-    if gives_way:
+    if rips_up:
         rip_up(static, dynamic, m, n)
-        game.ripped = 0  # by this move, unlike in other rounds
+        game.just_ripped = 0  # by this move, unlike in other rounds
     agent.added_overflow = 0
     agent.crossing = Crossing.ANSWERED
-    agent.ending = Ending.NONE if gives_way else Ending.JOINED
+    agent.ending = Ending.NONE if rips_up else Ending.JOINED

@@ -14,19 +14,19 @@ from typing import Any
 from marouting.batch.bits import byte_of, clear, empty, put
 from marouting.batch.edges import demand_of, may_cross, take, use_edges, uses
 from marouting.batch.prices import NO_LIMIT, first_present
-from marouting.batch.rounds import all_have_walked, answer, done, has_walked, judge, walk_again
+from marouting.batch.rounds import all_rerouted, answer, final_status, judge, rip_up_next
 from marouting.batch.state import MASKS, Dynamic, Option, Static
 from marouting.batch.tasks import (
     begin_extended,
     begin_net,
     begin_task,
+    clear_move,
     grow_tree,
     holds,
     insert,
     is_on,
     keeps_tree,
     next_task,
-    wait,
 )
 from marouting.game import NOBODY, RIP_UP, Crossing, Ending, Status
 from marouting.kernels import as_index, compiled, i64, inlined
@@ -96,7 +96,7 @@ def move_extended(static: Static, dynamic: Dynamic, m: int, n: int, move: int) -
     if game.asked:
         answer(static, dynamic, m, n, move == RIP_UP)
         return
-    game.ripped = 0
+    game.just_ripped = 0
     step = min(move, MOVES - 1)
     edge = as_index(static.edge[as_index(agent.cell), step])
     new = cross_edge(static, dynamic, m, n, step, i64(move < MOVES))
@@ -127,7 +127,7 @@ def _end_extended(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     if keeps_tree(static):
         grow_tree(static, dynamic, m, n)
     # Judged with the last move, which is then paid for what becomes of it.
-    if dynamic.games[m].again > 0 and all_have_walked(static, dynamic, m):
+    if dynamic.games[m].ripped > 0 and all_rerouted(static, dynamic, m):
         judge(static, dynamic, m)
 
 
@@ -142,7 +142,7 @@ def settle_agent(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     elif agent.task + 1 < static.first[m, n + 1]:
         begin_task(static, dynamic, m, n, i64(agent.task + 1))
     else:
-        agent.status = done(static, dynamic, m, n)
+        agent.status = final_status(static, dynamic, m, n)
         dynamic.games[m].active -= 1
 
 
@@ -150,15 +150,16 @@ def settle_agent(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
 def settle_extended(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     """:func:`settle_agent` for an agent whose task has ended, by the options."""
     task = i64(NOBODY)
-    if not has_walked(dynamic, m):
+    game = dynamic.games[m]
+    if game.round == 0 or game.ripped > 0:  # what was ripped up is not rerouted and judged yet
         task = next_task(static, dynamic, m, n)
     if task != NOBODY:
         begin_extended(static, dynamic, m, n, task)
         return
     agent = dynamic.agents[m, n]
     waits = is_on(static, Option.ROUNDS)
-    agent.status = Status.WAITING if waits else done(static, dynamic, m, n)
-    dynamic.games[m].active -= 1
+    agent.status = Status.WAITING if waits else final_status(static, dynamic, m, n)
+    game.active -= 1
 
 
 @inlined
@@ -166,7 +167,7 @@ def pass_turn(static: Static, dynamic: Dynamic, m: int) -> None:
     """Passes the turn to the next active agent. In sequential order an active agent keeps it."""
     game = dynamic.games[m]
     if game.active == 0 and static.extended is not None and is_on(static, Option.ROUNDS):
-        walk_again(static, dynamic, m)
+        rip_up_next(static, dynamic, m)
     if game.active == 0:
         game.agent, game.turn = NOBODY, 0
         return
@@ -205,7 +206,7 @@ def reset_problem(static: Static, dynamic: Dynamic, m: int) -> None:
     for n in range(static.order.shape[1]):
         agent = dynamic.agents[m, n]
         agent.joined = 0
-        wait(dynamic, m, n)
+        clear_move(dynamic, m, n)
         if static.first[m, n] < static.first[m, n + 1]:
             agent.status = Status.ACTIVE
             game.active += 1
@@ -223,7 +224,7 @@ def reset_problem(static: Static, dynamic: Dynamic, m: int) -> None:
 def reset_extended(static: Static, dynamic: Dynamic, m: int) -> None:
     """Forgets the rounds of an episode."""
     game = dynamic.games[m]
-    game.round = game.place = game.again = game.picked = game.ripped = game.asked = 0
+    game.round = game.place = game.ripped = game.reroutes = game.just_ripped = game.asked = 0
     game.kept_joined = game.kept_overflow = game.kept_wirelength = game.kept_cost = 0
     game.plain = game.stuck = game.negotiations = 0
     game.present = first_present(static) if is_on(static, Option.PRICES) else 0
@@ -231,7 +232,7 @@ def reset_extended(static: Static, dynamic: Dynamic, m: int) -> None:
     game.began_joined = game.began_overflow = game.began_wirelength = 0
     game.best_joined, game.best_overflow, game.best_wirelength = NOBODY, 0, 0
     if is_on(static, Option.ROUNDS):
-        for column in range(static.options[Option.AGAIN], static.options[Option.KEPT_JOINED]):
+        for column in range(static.options[Option.RIPPED], static.options[Option.KEPT_JOINED]):
             dynamic.numbers[m, column] = NOBODY
         for column in range(static.options[Option.HISTORY], static.options[Option.QUEUE]):
             dynamic.numbers[m, column] = 0
@@ -244,7 +245,7 @@ def move_player(static: Static, dynamic: Dynamic, m: int, move: int) -> None:
     if n == NOBODY:
         return
     if move == NOBODY:
-        wait(dynamic, m, n)
+        clear_move(dynamic, m, n)
     else:
         move_agent(static, dynamic, m, n, move)
 
@@ -276,7 +277,7 @@ def move_everyone(static: Static, dynamic: Dynamic, m: int, moves: Any) -> None:
         if may_move(dynamic, m, n, alone, moves[m, n]):
             move_agent(static, dynamic, m, n, as_index(moves[m, n]))
         else:
-            wait(dynamic, m, n)
+            clear_move(dynamic, m, n)
 
 
 @inlined

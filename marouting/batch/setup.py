@@ -179,7 +179,7 @@ def _options(
     options[Option.RELEASE_FAILED] = rules.release_failed
     options[Option.ROUNDS] = rip_up.rounds
     options[Option.RIP_UP] = Choice[rip_up.choose.upper()]
-    options[Option.AGAIN_MOST] = again
+    options[Option.RIPPED_MOST] = again
     options[Option.PATIENCE] = negotiation.patience
     options[Option.PRESENT] = round(negotiation.present_factor * WHOLE)
     options[Option.STEP_DECAY] = round(negotiation.step_decay * 100)
@@ -190,12 +190,12 @@ def _options(
         Option.VISITED: agents * rules.mask.visited,
         Option.TAKEN: agents * rules.release_failed,
         Option.KEPT: again,
-        Option.TRIED: agents * nearest,
+        Option.BEGUN: agents * nearest,
         Option.BEST: agents * prices,
     }
     columns = {
         Option.LINE: agents * rounds,
-        Option.AGAIN: again,
+        Option.RIPPED: again,
         Option.KEPT_JOINED: again,
         Option.HISTORY: edges * rounds,
         Option.PRICES: edges * prices,

@@ -55,9 +55,9 @@ GAME = np.dtype(
         # Of rip-up rounds:
         ("round", np.int32),  # the present round; 0 while nets walk for the first time
         ("place", np.int32),  # place in the round's order of the net to be considered next
-        ("again", np.int32),  # nets that are rerouted at present
-        ("picked", np.int32),  # how often nets have been ripped up in this round
-        ("ripped", np.int8),  # nets have just given their edges back, and none has moved since
+        ("ripped", np.int32),  # nets that are rerouted at present
+        ("reroutes", np.int32),  # how often nets have been ripped up in this round
+        ("just_ripped", np.int8),  # nets have just released their edges, and none has moved since
         ("asked", np.int8),  # the agent to move is asked whether to rip up its net
         ("kept_joined", np.int32),  # tasks joined before nets gave their edges back
         ("kept_overflow", np.int64),  # overflow likewise
@@ -85,8 +85,8 @@ class Option(enum.IntEnum):
     """Places in ``Static.options``.
 
     The state of the options is in two arrays instead of many: numba unpacks every array at each
-    call. From ``TREE`` to ``BEST`` are rows of ``Dynamic.sets``, from ``LINE`` on columns of
-    ``Dynamic.numbers``; -1 stands for an option that is switched off.
+    call. ``TREE`` to ``BEST`` are rows of ``Dynamic.sets``, ``LINE`` to ``QUEUE`` columns of
+    ``Dynamic.numbers``; -1 stands for one that no option needs. The others are numbers.
     """
 
     TREE_TARGET = 0  #: whether any Gcell of the net's tree ends a task
@@ -95,7 +95,7 @@ class Option(enum.IntEnum):
     RELEASE_FAILED = 3  #: whether a failed task releases its edges
     ROUNDS = 4  #: rip-up rounds
     RIP_UP = 5  #: Choice
-    AGAIN_MOST = 6  #: P, the most nets that are rerouted at a time
+    RIPPED_MOST = 6  #: P, the most nets that are rerouted at a time
     PATIENCE = 7  #: rounds after which one more net is rerouted at a time; 0: P from the first
     PRESENT = 8  #: GAME.present in the first walk
     STEP_DECAY = 9  #: how fast price changes shrink, in per cent
@@ -103,10 +103,10 @@ class Option(enum.IntEnum):
     VISITED = 11  #: N sets of Gcells visited in the present task
     TAKEN = 12  #: N sets of edges newly used in the present task
     KEPT = 13  #: P sets of edges that nets had before they were ripped up
-    TRIED = 14  #: N sets of tasks that have been begun, counted from the net's first
+    BEGUN = 14  #: N sets of tasks that have been begun, counted from the net's first
     BEST = 15  #: N sets of edges, the best routes so far
     LINE = 16  #: N places in turn order, in the order of the rip-up round
-    AGAIN = 17  #: P nets that are rerouted; NOBODY where there is none
+    RIPPED = 17  #: P nets that are rerouted; NOBODY where there is none
     KEPT_JOINED = 18  #: P numbers of tasks that they had joined
     HISTORY = 19  #: E numbers of rip-up rounds at whose start the edge was full
     PRICES = 20  #: E prices of edges, in parts of ``prices.WHOLE``

@@ -120,9 +120,9 @@ class FastPath(NamedTuple):
     """What the compiled step has to know about the pieces."""
 
     everyone: bool  # whether all agents have a row, or only the one whose turn it is
-    observation: bool  # whether the observation is the paper's
-    reward: bool  # whether the reward is nothing but the following prices
-    shares: bool | None  # True: prices beside the table, which only pays the agent that moves.
+    sees_paper: bool  # whether the observation is the paper's
+    pays_prices: bool  # whether the reward is nothing but the following prices
+    pays_others: bool | None  # True: prices beside the table, which only pays the agent that moves
     # None, not False: numba then compiles the check away
     via_capacity: float  # see PaperObservation
     table: NDArray[np.float32]  # (5, 3) see marouting.rewards.Prices
@@ -148,9 +148,9 @@ class FastPath(NamedTuple):
         charges = known.shared[Share.OTHERS, 1] != 0
         return cls(
             everyone=everyone,
-            observation=paper,
-            reward=prices is not None,
-            shares=True if known.shared.any() else None,
+            sees_paper=paper,
+            pays_prices=prices is not None,
+            pays_others=True if known.shared.any() else None,
             via_capacity=looks.via_capacity,
             table=known.table.astype(np.float32),
             overflow_price=float(known.added_overflow),
@@ -198,7 +198,7 @@ def _look(
 @inlined
 def _make_moves(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
     """The moves of a step of one problem, before anybody settles."""
-    if fast.shares is not None:
+    if fast.pays_others is not None:
         move_and_pay(static, dynamic, fast, m, b.actions, b.reward)
     elif fast.everyone:
         move_everyone(static, dynamic, m, b.actions)
@@ -212,7 +212,7 @@ def _take_stock(dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int, n: int
     agent = dynamic.agents[m, n]
     b.acted[m, row] = agent.crossing != Crossing.NONE
     b.ending[m, row] = agent.ending
-    if fast.shares is None:
+    if fast.pays_others is None:
         b.reward[m, row] = paper_reward(fast.table, fast.overflow_price, agent)
     return b.reward[m, row]
 
@@ -260,18 +260,18 @@ def list_arrived(
     dynamic: Dynamic,
     b: StepBuffers,
     fast: FastPath,
-    asked: Any,
+    on_turn: Any,
     problems: Any,
     agents: Any,
     rows: Any,
 ) -> int:
     """Lists the agents that get a final observation; returns how many they are."""
     count = 0
-    for m in range(len(asked)):
+    for m in range(len(on_turn)):
         for row in range(b.agents.shape[1]):
             if _ends(static, dynamic, b, fast, m, row):
                 problems[count] = m
-                agents[count] = row if fast.everyone else asked[m]
+                agents[count] = row if fast.everyone else on_turn[m]
                 rows[count] = m * b.agents.shape[1] + row
                 count += 1
     return count
@@ -312,10 +312,10 @@ def settle_game(
     b: StepBuffers,
     fast: FastPath,
     m: int,
-    asked: int,
+    on_turn: int,
     what: int,
 ) -> None:
-    """The end of a step of one problem, whose turn was that of ``asked``."""
+    """The end of a step of one problem, whose turn was that of ``on_turn``."""
     game = dynamic.games[m]
     if what != NOT:
         if fast.everyone:
@@ -323,9 +323,9 @@ def settle_game(
                 for n in range(b.agents.shape[1]):
                     settle_agent(static, dynamic, m, n)
             settle_turns(static, dynamic, m)
-        elif asked != NOBODY:
+        elif on_turn != NOBODY:
             if what == ALL:
-                settle_agent(static, dynamic, m, as_index(asked))
+                settle_agent(static, dynamic, m, as_index(on_turn))
             pass_turn(static, dynamic, m)
         acted = False
         for row in range(b.agents.shape[1]):
@@ -334,7 +334,7 @@ def settle_game(
     if not fast.everyone:
         b.agents[m, 0] = game.agent
     for row in range(b.agents.shape[1]):
-        n = i64(row) if fast.everyone else i64(asked)
+        n = i64(row) if fast.everyone else i64(on_turn)
         if n != NOBODY:  # once a game is over, these stay as its last move left them
             status = dynamic.agents[m, as_index(n)].status
             b.terminated[m, row] = status == Status.TERMINATED
@@ -350,13 +350,13 @@ def settle_games(
     b: StepBuffers,
     fast: FastPath,
     begins: Any,
-    asked: Any,
+    on_turn: Any,
     what: int,
 ) -> None:
     """:func:`settle_game` in all problems, and the masks."""
     for m in range(len(begins)):
         settle_game(
-            static, dynamic, b, fast, m, i64(asked[m]), i64(NOT) if begins[m] else i64(what)
+            static, dynamic, b, fast, m, i64(on_turn[m]), i64(NOT) if begins[m] else i64(what)
         )
         for row in range(b.agents.shape[1]):
             write_mask(static, dynamic, b.mask, m, i64(b.agents[m, row]), i64(row))
@@ -403,7 +403,7 @@ def settle_movers(
         move = min(move_of(static, i64(moves[m])), MOVES - 1)
         edge = as_index(static.edge[as_index(before.agents[m, n].cell), as_index(move)])
         arrived.agents[m, n] = dynamic.agents[m, n]
-        for option in range(Option.VISITED, Option.TRIED + 1):
+        for option in range(Option.VISITED, Option.BEGUN + 1):
             if static.options[option] >= 0 and option != Option.KEPT:
                 row = as_index(static.options[option] + n)
                 copy_row(arrived.sets, m, row, dynamic.sets, m, row)
@@ -419,13 +419,13 @@ def settle_movers(
 @inlined
 def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int) -> None:
     """A whole step of one problem."""
-    asked = i64(dynamic.games[m].agent)
+    on_turn = i64(dynamic.games[m].agent)
     move_game(static, dynamic, b, fast, m)
     for row in range(b.agents.shape[1]):
         if _ends(static, dynamic, b, fast, m, row):
-            n = i64(row) if fast.everyone else asked
+            n = i64(row) if fast.everyone else on_turn
             _look(static, dynamic, fast, m, n, b.final_obs, b.final_mask, i64(row))
-    settle_game(static, dynamic, b, fast, m, asked, i64(ALL))
+    settle_game(static, dynamic, b, fast, m, on_turn, i64(ALL))
     for row in range(b.agents.shape[1]):
         _look(static, dynamic, fast, m, i64(b.agents[m, row]), b.obs, b.mask, i64(row))
 

@@ -22,7 +22,7 @@ def is_on(static: Static, option: int) -> bool:
 
 @compiled
 def holds(static: Static, dynamic: Dynamic, m: int, which: int, n: int, element: int) -> int:
-    """1 if agent n's set of a kind (``TREE`` to ``TRIED``) has a Gcell, edge or task, else 0."""
+    """1 if agent n's set of a kind (``TREE`` to ``BEGUN``) has a Gcell, edge or task, else 0."""
     row = as_index(static.options[which] + n)
     return has(dynamic.sets, m, row, element)
 
@@ -96,7 +96,7 @@ def is_later(static: Static, dynamic: Dynamic, m: int, n: int, task: int) -> boo
     begun = task <= dynamic.agents[m, n].task
     if is_on(static, Option.NEAREST_NEXT):
         own = i64(task - static.first[m, n])
-        begun = holds(static, dynamic, m, Option.TRIED, n, own) != 0
+        begun = holds(static, dynamic, m, Option.BEGUN, n, own) != 0
     if keeps_tree(static):
         pin = i64(static.tasks[task, 1])
         begun |= holds(static, dynamic, m, Option.TREE, n, pin) != 0
@@ -139,7 +139,7 @@ def next_task(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
 
 
 @compiled
-def wait(dynamic: Dynamic, m: int, n: int) -> None:
+def clear_move(dynamic: Dynamic, m: int, n: int) -> None:
     """An agent does not move: clears what its last move did."""
     agent = dynamic.agents[m, n]
     agent.added_overflow = 0
@@ -163,7 +163,7 @@ def begin_extended(static: Static, dynamic: Dynamic, m: int, n: int, task: int) 
     begin_task(static, dynamic, m, n, task)
     agent = dynamic.agents[m, n]
     if is_on(static, Option.NEAREST_NEXT):
-        insert(static, dynamic, m, Option.TRIED, n, i64(task - static.first[m, n]))
+        insert(static, dynamic, m, Option.BEGUN, n, i64(task - static.first[m, n]))
     if keeps_tree(static):
         pin = i64(static.tasks[task, 1])
         cell, _ = nearest_in_tree(static, dynamic, m, n, pin)
@@ -186,7 +186,7 @@ def begin_net(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
     agent.joined = 0
     agent.task = first - 1
     if is_on(static, Option.NEAREST_NEXT):
-        clear(static, dynamic, m, Option.TRIED, n)
+        clear(static, dynamic, m, Option.BEGUN, n)
     if keeps_tree(static):
         grow_tree(static, dynamic, m, n)
     begin_extended(static, dynamic, m, n, next_task(static, dynamic, m, n))

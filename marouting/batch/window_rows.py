@@ -1,6 +1,6 @@
 """The rows of the observation ``window``, compiled: one kernel writes the row of one agent.
 
-:mod:`marouting.batch.window` says what is in a row. Most of it is nought, so a row is cleared
+:mod:`marouting.batch.window` says what is in a row. Most numbers are 0, so a row is cleared
 first and then only what is on the grid is written.
 """
 

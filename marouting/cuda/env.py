@@ -208,7 +208,7 @@ class CudaBatchEnv(BatchEnv):
         self._passed = Step(
             which=device.zeros((games,), np.bool_),
             begins=device.zeros((games,), np.bool_),
-            asked=device.zeros((games,), np.int32),
+            on_turn=device.zeros((games,), np.int32),
         )
         self._refused = device.zeros((1,), np.int32)
         self._states: Any = None

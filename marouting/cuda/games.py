@@ -78,7 +78,7 @@ class Step(NamedTuple):
 
     which: Any  # (M,) bool, in a reset: the games that begin
     begins: Any  # (M,) bool, games that begin in this step
-    asked: Any  # (M,) int32, the agent whose turn it was
+    on_turn: Any  # (M,) int32, the agent whose turn it was
 
 
 class Paper(NamedTuple):
@@ -418,7 +418,7 @@ def launches(see: Any, prepare: Any, tell: Any) -> Launches:
         m = i64(cuda.grid(1))
         if m >= len(b.over):
             return
-        step.asked[m] = dynamic.games[m].agent
+        step.on_turn[m] = dynamic.games[m].agent
         if step.begins[m]:
             if len(pool.capacity) > 0:
                 pool.number[m] = drawn(pool.key[m], i64(pool.episode[m]), i64(len(pool.capacity)))
@@ -444,7 +444,7 @@ def launches(see: Any, prepare: Any, tell: Any) -> Launches:
         passes = not everyone and not static.sequential and dynamic.games[m].active > 1
         if step.begins[m] or not (ended or (passes and b.acted[m, row])):
             return
-        n = row if everyone else i64(step.asked[m])
+        n = row if everyone else i64(step.on_turn[m])
         see(static, dynamic, look, m, n, b.final_obs[m], row)
         write_mask(static, dynamic, b.final_mask, m, n, row)
 
@@ -464,7 +464,7 @@ def launches(see: Any, prepare: Any, tell: Any) -> Launches:
         if not steps and not step.begins[m]:
             return
         what = i64(ALL) if steps and not step.begins[m] else i64(NOT)
-        settle_game(static, dynamic, b, fast, m, i64(step.asked[m]), what)
+        settle_game(static, dynamic, b, fast, m, i64(step.on_turn[m]), what)
         prepare(dynamic, look, m)
 
     @jit

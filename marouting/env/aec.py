@@ -6,7 +6,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils import EzPickle
 from pettingzoo import AECEnv
 
-from marouting.env.base import METADATA, NetEnv, checked_move
+from marouting.env.base import METADATA, NetEnv, checked_move, result_of
 from marouting.game import ACTIVE, NOBODY, Status
 from marouting.source import Source
 
@@ -27,7 +27,7 @@ class GlobalRoutingAEC(NetEnv, AECEnv):
     # of a cycle. Nets move in their own order and leave when they are done; parallel_env is the
     # same game in parallel.
     metadata = METADATA | {"is_parallelizable": False}
-    _episode = (
+    _saved_names = (
         "agents", "rewards", "_cumulative_rewards", "terminations", "truncations", "infos",
         "agent_selection", "_skip_agent_selection", "_number", "_mover", "_ended",
     )  # fmt: skip
@@ -117,7 +117,7 @@ class GlobalRoutingAEC(NetEnv, AECEnv):
         else:
             self.terminations[agent] = status == Status.TERMINATED
             self.truncations[agent] = status == Status.TRUNCATED
-            told = self._result() if following == NOBODY else {}
+            told = result_of(self.game.metrics()) if following == NOBODY else {}
             told |= self._ended.get(agent, {})
             self.infos[agent] = {self._mask_key: self._mask(n)} | told
             # The agent is selected once more, to be removed from the list, before the next one is.
@@ -143,7 +143,7 @@ class GlobalRoutingAEC(NetEnv, AECEnv):
             n = self._number[agent]
             failed = n != NOBODY and status[n] == Status.TRUNCATED
             self.truncations[agent], self.terminations[agent] = failed, not failed
-            self.infos[agent] |= self._result()
+            self.infos[agent] |= result_of(self.game.metrics())
         self.agent_selection = self.agents[0]
 
     def _pay(self, mover: str, paid: Any) -> None:

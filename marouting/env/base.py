@@ -56,7 +56,7 @@ class GameEnv(EzPickle):
 
     game_class: ClassVar[type[Game]] = Game
     render_mode: str | None
-    _episode: ClassVar[tuple[str, ...]]
+    _saved_names: ClassVar[tuple[str, ...]]
     """The attributes of an interface that change during an episode."""
 
     def _open(self, problem: Source, agents: Agents, options: Mapping[str, Any]) -> None:
@@ -82,14 +82,14 @@ class GameEnv(EzPickle):
         self._window = Window()
         self._rng, _ = seeding.np_random()  # draws the problems of episodes
 
-        self._episodes = ProblemStream(problem, checked.scenario, checked.split)
-        problems = self._episodes.bounds
+        self._stream = ProblemStream(problem, checked.scenario, checked.split)
+        problems = self._stream.bounds
         grid = Grid.of(problems[0].grid)
         check_memory(
             grid.gcells * (TABLES + PLAYED + STATE), "an environment on a grid of {}", grid
         )
-        self._everyone = [f"net_{net}" for net in self._episodes.nets]
-        name, first = next(iter(self._episodes.problems.items()))
+        self._everyone = [f"net_{net}" for net in self._stream.nets]
+        name, first = next(iter(self._stream.problems.items()))
         self._play(name, self.game_class(first, self._rules))
         overflow = self.game.overflow_allowed
         self._box: Box = space_of(self._observation, problems, overflow)
@@ -108,7 +108,7 @@ class GameEnv(EzPickle):
         """Starts a new episode, of another problem if there are several."""
         if seed is not None:
             self._rng, _ = seeding.np_random(seed)
-        name, problem = self._episodes.next(self._rng)
+        name, problem = self._stream.next(self._rng)
         if problem is not self.game.problem:
             self._play(name, self.game_class(problem, self._rules))
         else:
@@ -125,7 +125,7 @@ class GameEnv(EzPickle):
 
     def save(self) -> dict[str, Any]:
         """A copy of the state of the environment, for :meth:`restore`."""
-        names = ("problem_name", "_figures", "_rng", "_begun", *self._episode)
+        names = ("problem_name", "_figures", "_rng", "_begun", *self._saved_names)
         rest = {name: vars(self)[name] for name in names if name in vars(self)}
         kind = type(self).__name__
         fixed = {"interface": kind, "persists": self._persists}
@@ -147,11 +147,11 @@ class GameEnv(EzPickle):
         same = fixed == (type(self).__name__, self._persists)
         if not (same and type(game) is self.game_class and game.rules == self._rules):
             raise ValueError(OTHER_GAME)
-        known = self._episodes.problems.values()
-        if not (game.problem in known or (self._episodes.endless and game.grid == self.game.grid)):
+        known = self._stream.problems.values()
+        if not (game.problem in known or (self._stream.endless and game.grid == self.game.grid)):
             raise ValueError(OTHER_GAME)
         self._play(rest["problem_name"], game.copy())
-        if not self._episodes.many:  # the next episode begins with this one, not with an equal one
+        if not self._stream.many:  # the next episode begins with this one, not with an equal one
             self.game.problem = problem
             self._columns.problems = (problem,)
         vars(self).update(copy.deepcopy(rest))
@@ -251,19 +251,6 @@ class GameEnv(EzPickle):
         seen = self._with_mask(self._see(n), mask)
         return {"task_ended": ending, "task_obs": seen, "task_mask": mask}
 
-    def _result(self) -> dict[str, Any]:
-        """What infos hold when the game is over: the metrics, also where loggers look for them.
-
-        ``open`` is the number of two-pin tasks that are not joined.
-        """
-        metrics = self.game.metrics()
-        return {
-            "metrics": metrics,
-            **metrics,
-            "open": metrics["tasks"] - metrics["joined"],
-            "is_success": metrics["tasks"] == metrics["joined"] and not metrics["overflow"],
-        }
-
     # --- methods beyond those of PettingZoo and Gymnasium -----------------------------------------
 
     def action_mask(self, agent: str) -> NDArray[np.int8]:
@@ -321,6 +308,16 @@ class GameEnv(EzPickle):
     def close(self) -> None:
         """Closes the window, if there is one."""
         self._window.close()
+
+
+def result_of(metrics: dict[str, int]) -> dict[str, Any]:
+    """What infos hold when the game is over: the metrics, also where loggers look for them.
+
+    ``open`` is the number of two-pin tasks that are not joined.
+    """
+    still_open = metrics["tasks"] - metrics["joined"]
+    success = still_open == 0 == metrics["overflow"]
+    return {"metrics": metrics, **metrics, "open": still_open, "is_success": success}
 
 
 def checked_move(action: Any, actions: int, name: str = "action") -> int:

@@ -12,7 +12,7 @@ import numpy as np
 from gymnasium.utils import EzPickle
 from pettingzoo import ParallelEnv
 
-from marouting.env.base import METADATA, NetEnv, checked_move
+from marouting.env.base import METADATA, NetEnv, checked_move, result_of
 from marouting.game import ACTIVE, NOBODY, WAITING, Game, Status
 from marouting.memory import check_memory
 from marouting.source import Source
@@ -30,7 +30,7 @@ class GlobalRoutingParallel(NetEnv, ParallelEnv):
     """
 
     metadata = METADATA | {"is_parallelizable": True}
-    _episode = ("agents", "_numbers")
+    _saved_names = ("agents", "_numbers")
 
     def __init__(self, problem: Source = None, **options: Any) -> None:
         EzPickle.__init__(self, problem, **options)
@@ -110,7 +110,7 @@ class GlobalRoutingParallel(NetEnv, ParallelEnv):
             cut = [s == Status.TRUNCATED for s in status]
             done = [s == Status.TERMINATED for s in status]
         if over and agents:  # the figures of the game change no more
-            result = self._result()
+            result = result_of(self.game.metrics())
             for info in infos.values():
                 info |= {**result, "metrics": dict(result["metrics"])}
             self.agents, self._numbers = [], []

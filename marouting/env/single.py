@@ -10,7 +10,7 @@ from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
 from marouting.config import check
-from marouting.env.base import METADATA, ONE_PLAYER, GameEnv, checked_move
+from marouting.env.base import METADATA, ONE_PLAYER, GameEnv, checked_move, result_of
 from marouting.game import NOBODY
 from marouting.source import Source
 
@@ -31,7 +31,7 @@ class GlobalRoutingSingle(GameEnv, gymnasium.Env[Any, Any]):
     """
 
     metadata = METADATA
-    _episode = ("_net", "_np_random", "_np_random_seed")
+    _saved_names = ("_net", "_np_random", "_np_random_seed")
 
     def __init__(
         self, problem: Source = None, render_mode: str | None = None, **options: Any
@@ -57,7 +57,7 @@ class GlobalRoutingSingle(GameEnv, gymnasium.Env[Any, Any]):
         if self.render_mode == "human":
             self.render()
         seen, info = self._look()
-        if self._episodes.many:
+        if self._stream.many:
             info["problem"] = self.problem_name
         return seen, info
 
@@ -98,7 +98,7 @@ class GlobalRoutingSingle(GameEnv, gymnasium.Env[Any, Any]):
             seen, info = self._look()
             return seen, reward, False, False, info | ended
         # At the end, the observation is that of the net that moved last.
-        info = {self._mask_key: self._mask(self._net)} | self._result() | ended
+        info = {self._mask_key: self._mask(self._net)} | result_of(self.game.metrics()) | ended
         info["net"] = self._names[self._net]
         joined = info["open"] == 0
         return self._shown(self._net), reward, joined, not joined, info

@@ -25,7 +25,7 @@ from typing import Annotated, Any, Literal, cast, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.config import Meets, between, check, of_key
+from marouting.config import between, check, of_key
 from marouting.errors import InputError
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.problem.net import is_whole
@@ -44,7 +44,7 @@ SPLITS: tuple[Split, ...] = get_args(Split)
 _ARGUMENTS: dict[str, Any] = {
     "validation": Annotated[int, between(1, 100_000)],
     "test": Annotated[int, between(1, 100_000)],
-    "open_cost": Annotated[float, Meets(lambda cost: cost >= 0, "a number from 0")],
+    "open_cost": Annotated[float, between(0, 1e9)],
     "mirrors": bool,
     "env": dict[str, Any],
     "training": dict[str, Any],
@@ -100,7 +100,7 @@ class Scenario:
         accept: Callable[[Problem], bool] | None = None,
         env: Mapping[str, Any] | None = None,
         training: Mapping[str, Any] | None = None,
-        open_cost: int = 20,
+        open_cost: float = 20,
         mirrors: bool = True,
         largest: Callable[[], Problem] | None = None,
         references: str | os.PathLike[str] | None = None,

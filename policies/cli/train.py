@@ -66,7 +66,7 @@ def train(
 
     def tell_rows(rows: Sequence[Mapping[str, Any]]) -> None:
         try:
-            standing = run.standing()
+            standing = run.scenario_results()
         except InputError as error:  # rules of its own
             standing = []
             click.echo(f"not scored on {settings.env.scenario}: {error}", err=True)

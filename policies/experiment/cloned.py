@@ -3,7 +3,7 @@
 Usage, from a checkout::
 
     python -m policies.experiment.cloned gates-8x7-v0 --out runs/cloned.pt
-    marouting train learner.kind=ppo env.scenario=gates-8x7-v0 train.start=runs/cloned.pt
+    marouting train learner.kind=ippo env.scenario=gates-8x7-v0 train.start=runs/cloned.pt
 
 A rule of :mod:`policies.routers.local` plays training problems of the scenario. The actor that
 ``marouting train learner.kind=ppo`` would have learns to make its moves (behavioural cloning: the

@@ -331,7 +331,7 @@ def _digest(path: Path) -> str:
 
 
 _warm: set[str] = set()
-"""The routers that this process has used already, and whether for large problems."""
+"""The routers that this process has used already."""
 
 
 def work_on(

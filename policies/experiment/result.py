@@ -22,7 +22,7 @@ from marouting.files import read_text, write_text
 from marouting.scenarios.score import Figures, score
 from policies.experiment.config import Split
 from policies.experiment.played import About
-from policies.results.rows import Count, Measure, Name, Row, Seconds
+from policies.results.rows import LARGEST, Count, Measure, Name, Row, Seconds
 from policies.results.statistics import bootstrap_interval, gap, interquartile_mean
 
 MOST_BYTES = 2**26
@@ -121,7 +121,7 @@ class Scale:
     """
 
     local_rule: Annotated[float, between(1, 1000)]
-    open_cost: Count
+    open_cost: Annotated[float, between(0, LARGEST)]
 
     def __post_init__(self) -> None:
         check("local_rule", self.local_rule > 1, "a cost above 1")

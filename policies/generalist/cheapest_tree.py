@@ -195,7 +195,7 @@ def plan_tree(
     static: Static, dynamic: Dynamic, t: Trees, m: int, n: int, most: int, margin: int, random: int
 ) -> bool:
     """Finds a cheapest tree for a net that uses no edge; whether its pins are few and near."""
-    t.of[m, 0], t.of[m, 1], t.of[m, 2] = n, dynamic.games[m].round, dynamic.games[m].picked
+    t.of[m, 0], t.of[m, 1], t.of[m, 2] = n, dynamic.games[m].round, dynamic.games[m].reroutes
     t.found[m] = False
     pins = _find_pins(static, t, m, n, most)
     if pins < 2:
@@ -223,7 +223,7 @@ def plan_tree(
 def is_planned(dynamic: Dynamic, t: Trees, m: int, n: int) -> bool:
     """Whether a tree has been looked for in this walk of the agent."""
     game = dynamic.games[m]
-    return t.of[m, 0] == n and t.of[m, 1] == game.round and t.of[m, 2] == game.picked
+    return t.of[m, 0] == n and t.of[m, 1] == game.round and t.of[m, 2] == game.reroutes
 
 
 @compiled

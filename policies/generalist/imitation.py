@@ -31,7 +31,7 @@ from torch import Tensor
 from marouting import Problem, Solution
 from marouting.batch.prices import UNIT
 from marouting.checks import check_fields
-from marouting.config import MOST, Named, check, piece_field, take_pieces
+from marouting.config import MOST, Component, check, piece_field, take_pieces
 from marouting.game import NOBODY
 from marouting.kernels import compiled
 from marouting.observations import has_move_order, move_order_of
@@ -41,7 +41,6 @@ from policies.generalist.regrets import MASKED, Regrets
 from policies.learned.counter_rng import uniform, uniforms
 from policies.learned.exploration import Exploration
 from policies.learned.learner import Learner, Setup
-from policies.learned.memory.pre_step import PreStep
 from policies.learned.networks.adam import Adam
 from policies.learned.networks.stack import View
 from policies.learned.per_network import COUNT
@@ -94,7 +93,7 @@ class ImitationOptions:
         masking: whether only moves that cross an edge are chosen.
     """
 
-    network: Named = piece_field("network", "mlp", hidden=(160, 128))
+    network: Component = piece_field("network", "mlp", hidden=(160, 128))
     learning_rate: float = 1e-3
     anneal: bool = True
     memory: int = 300_000
@@ -172,17 +171,9 @@ class Imitation(Learner):
             "many": (0.0, float(self.regrets.lessons.pins.shape[1])),
         }
 
-    @property
-    def stored(self) -> NDArray[np.int64]:
-        """(1,) states ever remembered."""
-        return self.kept
-
     def set_episodes(self, episodes: NDArray[np.int64]) -> None:
         """See :meth:`policies.learned.learner.Learner.set_episodes`."""
         self.progress[:] = min(float(episodes.mean()) / self.setup.episodes, 1.0)
-
-    def observe(self, player: Player, before: PreStep) -> None:
-        """Learns nothing from moves of which it does not know the regret."""
 
     # --- play ---------------------------------------------------------------------------------
 

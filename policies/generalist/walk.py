@@ -238,7 +238,7 @@ def _walk(static: Static, dynamic: Dynamic, given: WalkState, steps: int, stops:
                 continue
             move = i64(NOBODY)
             if dynamic.games[m].asked:
-                move = i64(RIP_UP if _gives_way(static, dynamic, given, i64(m), n) else 0)
+                move = i64(RIP_UP if _rips_up(static, dynamic, given, i64(m), n) else 0)
             elif given.guided[m]:
                 given.searches[0] += 1
                 move = move_along(
@@ -355,7 +355,7 @@ def _is_over(dynamic: Dynamic, m: int, n: int) -> bool:
 
 
 @compiled
-def _gives_way(static: Static, dynamic: Dynamic, given: WalkState, m: int, n: int) -> bool:
+def _rips_up(static: Static, dynamic: Dynamic, given: WalkState, m: int, n: int) -> bool:
     """The answer of an agent that is asked; see the module's docstring."""
     game = dynamic.games[m]
     period = 1

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from marouting.batch.prices import Negotiation
 from marouting.checks import check_fields
-from marouting.config import MOST, Named, build, check, piece_field, take_pieces
+from marouting.config import MOST, Component, build, check, piece_field, take_pieces
 from marouting.options import EnvOptions, with_suggestions
 from marouting.registry import allowing_code, lookup, names
 from marouting.scenarios import get
@@ -119,7 +119,7 @@ class Config:
     seed: int = 0
     out: str = "runs/training"
     env: EnvOptions = field(default_factory=EnvOptions)
-    learner: Named = piece_field("learner")
+    learner: Component = piece_field("learner")
     train: TrainOptions = field(default_factory=TrainOptions)
 
     def __post_init__(self) -> None:

@@ -26,7 +26,7 @@ _MANY = 4
 
 def layers_of(player: Player, module: nn.Module, *, masking: bool) -> tuple[int, ...] | None:
     """Units of a network's layers, inputs first, if :func:`play_out` does it in these games."""
-    known = player.fast.observation and player.fast.reward and player.fast.shares is None
+    known = player.fast.sees_paper and player.fast.pays_prices and player.fast.pays_others is None
     fits = known or (masking and _looks_out(player))
     return plain_sizes(module) if fits and player.engine.actions == MOVES else None
 
@@ -53,7 +53,7 @@ def play_out(
         masking: whether only moves that cross an edge are chosen.
     """
     engine, sizes = player.engine, np.array(layers, np.int64)
-    if not player.fast.observation:
+    if not player.fast.sees_paper:
         _walk_out(player, layers, weights)
         return
     _play_out(

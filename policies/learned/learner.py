@@ -72,7 +72,7 @@ class Setup:
     def pays_late(self) -> bool:
         """Whether agents may be paid when they are done: others than the mover, by the reward."""
         fast = self.player.fast
-        return self.player.everyone and (fast.shares is not None or not fast.reward)
+        return self.player.everyone and (fast.pays_others is not None or not fast.pays_prices)
 
     def network_keys(self, purpose: str) -> NDArray[np.uint64]:
         """(L,) keys of random numbers, one per network."""
@@ -158,7 +158,7 @@ class Learner(PerNetworkState, abc.ABC):
 
     @property
     def stored(self) -> NDArray[np.int64]:
-        """(L,) transitions ever taken in."""
+        """(L,) transitions ever taken in; the burn-in ends with :attr:`learning_starts` of them."""
         return np.zeros(len(self.updates), np.int64)
 
     def exploration(self, episode: int) -> float:  # noqa: ARG002
@@ -177,9 +177,11 @@ class Learner(PerNetworkState, abc.ABC):
         for row, of in enumerate(weights):
             self.networks.take(row, of)
 
-    @abc.abstractmethod
     def observe(self, player: Player, before: PreStep) -> None:
-        """Takes in what came of the player's last step, whoever chose the moves."""
+        """Takes in what came of the player's last step, whose moves a guide of the burn-in chose.
+
+        Learners with :attr:`learning_starts` have one; others are not called.
+        """
 
     @abc.abstractmethod
     def play(self, player: Player, steps: int) -> None:

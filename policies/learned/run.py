@@ -166,7 +166,7 @@ class Run:
     Args:
         config: what to do; its ``out`` is the folder.
         resume: whether the folder holds a run to go on with; otherwise it must hold none. The run
-            may be given more episodes than it had.
+            may be given more episodes, steps or seconds than it had.
 
     Attributes:
         folder: the run folder.
@@ -174,7 +174,8 @@ class Run:
         trainer: what trains.
         reference: overflow and wirelength of the best known solution by the problem's name, to
             which TensorBoard shows gaps.
-        had: the episodes per problem that the run had in all, if it goes on with more of them.
+        had: keys of ``train`` that are larger than before, with what they were: ``episodes``,
+            ``steps`` or ``seconds``.
 
     Raises:
         InputError: the folder, the configuration or a problem cannot be used.
@@ -329,7 +330,7 @@ class Run:
         total = self.config.train.episodes * len(self.trainer.episodes)
         return int(self.trainer.episodes.sum()), total
 
-    def standing(self) -> list[PolicyResult]:
+    def scenario_results(self) -> list[PolicyResult]:
         """What the saved network makes of a scenario's fixed problems, if it learned from others.
 
         That is without rip-up by prices (``train.negotiation``), which only routers have.

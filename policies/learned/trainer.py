@@ -102,8 +102,8 @@ class Trainer:
         check_network(learner.options)
         self.drawn = drawn = draws is not None
         check("train.games", drawn or train.games is None, "null: its problems are fixed")
-        self._whole = player_of(config.env, list(problems.values()), config.train.negotiation)
-        engine, count = self._whole.engine, 1 if drawn else len(self.names)
+        self._evaluator = player_of(config.env, list(problems.values()), config.train.negotiation)
+        engine, count = self._evaluator.engine, 1 if drawn else len(self.names)
         source: Any = draws
         if draws is not None:
             self._copies = len(draws.counts)
@@ -115,7 +115,7 @@ class Trainer:
             source = [problem for problem in problems.values() for _ in range(self._copies)]
         self.player = player_of(config.env, source, train.negotiation, trains=True)
         b = self.player.buffers
-        shapes = [p.buffers.obs.shape[2:] for p in (self._whole, self.player)]
+        shapes = [p.buffers.obs.shape[2:] for p in (self._evaluator, self.player)]
         what = f"the same shape for all problems, found {shapes[0]} and {shapes[1]}"
         check("observation", shapes[0] == shapes[1], what)
         self.learner: Learner = learner.cls.start(
@@ -130,7 +130,7 @@ class Trainer:
                 rows=b.obs.shape[1],
                 obs_shape=b.obs.shape[2:],
                 state_shape=state_space_of(
-                    self._whole.observation, engine.problems, engine.static.overflow_allowed
+                    self._evaluator.observation, engine.problems, engine.static.overflow_allowed
                 ).shape,
                 player=self.player,
                 seed=config.seed,
@@ -156,7 +156,8 @@ class Trainer:
         self.saved = SavedNetworks(config, setup.names, setup.obs_shape, setup.actions, networks)
         self._evaluated = np.zeros(len(networks), np.int64)  # episodes at the last evaluation
         self.walks: list[GreedyEvaluation] = []
-        self._before = np.zeros((len(b.over), 2))  # of the network before the episode: loss, steps
+        # Of the network before the episode: loss, steps.
+        self._episode_start = np.zeros((len(b.over), 2))
         self.path = self.learner.path
         self._tell_episodes()
 
@@ -285,8 +286,8 @@ class Trainer:
                 self.score[problem] = score
                 self.best_episode[problem] = self.episodes[problem]
                 self.best[problem] = player.engine.solution(g)
-            steps = updates[g] - self._before[g, 1]
-            loss = (float(losses[g]) - float(self._before[g, 0])) / max(int(steps), 1)
+            steps = updates[g] - self._episode_start[g, 1]
+            loss = (float(losses[g]) - float(self._episode_start[g, 0])) / max(int(steps), 1)
             finished.append(
                 Episode(
                     problem=player.draws.names[g] if player.draws else self.names[problem],
@@ -300,7 +301,7 @@ class Trainer:
                 )
             )
             self.episodes[problem] += 1
-        self._before[over, 0], self._before[over, 1] = losses[over], updates[over]
+        self._episode_start[over, 0], self._episode_start[over, 1] = losses[over], updates[over]
         running = self.running
         self._evaluate(np.unique(games[over] if running.any() else games))
         self.player.reset(over & np.repeat(running, self._copies))
@@ -327,7 +328,7 @@ class Trainer:
         self._evaluated[networks] = episodes
         rows = np.zeros(1, np.int64) if train.shared else networks
         shown = np.flatnonzero(np.isin(of, networks)).reshape(len(networks), -1)
-        player = self._whole.part(shown.ravel())
+        player = self._evaluator.part(shown.ravel())
         player.reset()
         self.learner.walk(player, rows)
         walked = np.array([player.engine.metrics(m) for m in range(shown.size)], object)
@@ -369,7 +370,7 @@ class Trainer:
 
     def state(self) -> dict[str, Any]:
         """Everything that it takes to go on as if never stopped."""
-        own = {**self._arrays(), "before": self._before}
+        own = {**self._arrays(), "before": self._episode_start}
         games = {name: as_rows(array) for name, array in _games_of(self.player).items()}
         return {
             **self.saved.state(),
@@ -400,7 +401,7 @@ class Trainer:
             raise InputError(f"{where}: in_all: expected a number from 1 to {most}")
         player, kept = self.player, state["trainer"]
         own, games = self._arrays(), _games_of(player)
-        shaped = {**own, "before": self._before}
+        shaped = {**own, "before": self._episode_start}
         known = {"training": self.learner.state().keys(), "trainer": {*shaped, *games}}
         for part, names in known.items():
             if more := state[part].keys() - names:
@@ -439,7 +440,7 @@ class Trainer:
         self.best = routes
         for name, array in own.items():
             array[...] = arrays[name]
-        self._before[...] = arrays["before"]
+        self._episode_start[...] = arrays["before"]
         over = (player.engine.games["active"] == 0).reshape(-1, self._copies)
         train = self.config.train
         # A run that ended by its steps or seconds may be going on with more of them.

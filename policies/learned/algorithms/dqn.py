@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from marouting.checks import check_fields
-from marouting.config import MOST, Named, check, piece_field, take_pieces
+from marouting.config import MOST, Component, check, piece_field, take_pieces
 from marouting.player import Player
 from policies.learned.exploration import Exploration
 from policies.learned.learner import Learner, Setup
@@ -59,7 +59,7 @@ class DQNOptions:
             :func:`policies.learned.algorithms.fused_dqn.obstacle`; None: where it applies.
     """
 
-    network: Named = piece_field("network", "mlp")
+    network: Component = piece_field("network", "mlp")
     gamma: float = 0.95
     learning_rate: float = 1e-4
     batch_size: int = 32

@@ -40,8 +40,8 @@ def obstacle(setup: Setup, options: DQNOptions) -> str | None:
     given = network.options
     reasons = {
         f"device {setup.device}": setup.device.type != "cpu",
-        "an observation other than the paper's": not fast.observation,
-        "a reward other than the paper's": not fast.reward or fast.shares is not None,
+        "an observation other than the paper's": not fast.sees_paper,
+        "a reward other than the paper's": not fast.pays_prices or fast.pays_others is not None,
         f"network {network.name}": network.cls is not MLP or network.given,
         "a dueling network": network.cls is MLP and given["dueling"],
         "an activation other than relu": network.cls is MLP and given["activation"] != "relu",

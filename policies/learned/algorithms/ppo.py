@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from marouting.checks import check_fields
-from marouting.config import MOST, Named, check, piece_field, take_pieces
+from marouting.config import MOST, Component, check, piece_field, take_pieces
 from marouting.game import Ending
 from marouting.observations import state_of
 from marouting.player import Player
@@ -64,7 +64,7 @@ class PPOOptions:
             games in which the limit of steps is part of what is to be learned (Pardo et al., 2018).
     """
 
-    network: Named = piece_field("network", "mlp", hidden=(64, 64))
+    network: Component = piece_field("network", "mlp", hidden=(64, 64))
     critic: Literal["local", "central"] = "local"
     num_envs: int = 32
     gamma: float = 0.95
@@ -150,11 +150,6 @@ class PPO(Learner):
         """See :meth:`policies.learned.learner.Learner.set_episodes`."""
         self.progress[:] = self._games(episodes).mean(axis=1) / self.setup.episodes
 
-    @property
-    def stored(self) -> NDArray[np.int64]:
-        """(L,) transitions of the rollouts under way."""
-        return self.rollout.count
-
     # --- play ---------------------------------------------------------------------------------
 
     def play(self, player: Player, steps: int) -> None:
@@ -181,19 +176,16 @@ class PPO(Learner):
         """(M, …) what the critic sees of the games beside what agents see, if it is central."""
         return state_of(player.observation, player.engine) if self.central else None
 
-    def observe(self, player: Player, before: PreStep) -> None:
-        """Learns nothing from moves that are not its own."""
-
     def _look(
-        self, obs: NDArray[np.float32], asked: NDArray[np.bool_], states: Any
+        self, obs: NDArray[np.float32], active: NDArray[np.bool_], states: Any
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """(M, K, A) scores of moves and (M, K) values, where they are asked for."""
-        scores = np.zeros((*asked.shape, self.setup.actions), np.float32)
-        values = np.zeros(asked.shape, np.float32)
-        where, inputs, seen = self._gathered(obs, asked, states)
+        """(M, K, A) scores of moves and (M, K) values, where agents are active."""
+        scores = np.zeros((*active.shape, self.setup.actions), np.float32)
+        values = np.zeros(active.shape, np.float32)
+        where, inputs, seen = self._gathered(obs, active, states)
         with torch.no_grad():
-            scores[asked] = self.networks.view(inputs).cpu().numpy()[where]
-            values[asked] = self.critic.view(seen).cpu().numpy()[where][:, 0]
+            scores[active] = self.networks.view(inputs).cpu().numpy()[where]
+            values[active] = self.critic.view(seen).cpu().numpy()[where][:, 0]
         return scores, values
 
     def _values(

@@ -28,6 +28,12 @@ LONGEST = 65536
 """The most transitions of a rollout: as many random numbers belong to one counter."""
 
 
+_OF_TRANSITION = (
+    "obs", "mask", "action", "chance", "value", "reward", "ending", "after", "stream", "state_",
+)  # fmt: skip
+"""Arrays of a rollout with a row for each transition."""
+
+
 class Rollout(PerNetworkState):
     """The rollouts of L networks.
 
@@ -53,16 +59,13 @@ class Rollout(PerNetworkState):
         ending: (L, C) int8 Ending of the task with the transition.
         after: (L, C) float32, what the critic expected where a task failed.
         stream: (L, C) int64.
-        state: (L, C, *state_shape) float32.
+        state_: (L, C, *state_shape) float32.
         count: (L,) int64, transitions there are.
         waits: (L, streams) bool, whether the last transition of an agent waits, in the place of its
             stream behind all others.
     """
 
-    rows: ClassVar[tuple[str, ...]] = (
-        "obs", "mask", "action", "chance", "value", "reward", "ending", "after", "stream", "state_",
-        "count", "waits",
-    )  # fmt: skip
+    rows: ClassVar[tuple[str, ...]] = (*_OF_TRANSITION, "count", "waits")
 
     def __init__(
         self,
@@ -165,7 +168,7 @@ class Rollout(PerNetworkState):
         over = (over | again) & self.waits
         n, stream = np.nonzero(over)
         at = self._places(n)
-        for name in self.rows[:-2]:
+        for name in _OF_TRANSITION:
             row = getattr(self, name)
             row[n, at] = row[n, self._waiting + stream]
         self.waits &= ~over
@@ -208,7 +211,7 @@ class Rollout(PerNetworkState):
         """Forgets the rollouts of networks; what came in beyond them moves to the front."""
         for n in which.tolist():
             left = self.count[n] - self.size
-            for name in self.rows[:-2]:
+            for name in _OF_TRANSITION:
                 row = getattr(self, name)[n]
                 row[:left] = row[self.size : self.size + left]
             self.count[n] = left
