@@ -67,7 +67,7 @@ class Games(Protocol):
     def uses(
         self, problems: NDArray[np.integer], agents: NDArray[np.integer], edges: NDArray[np.integer]
     ) -> NDArray[np.bool_]:
-        """(K,) whether agents (K,) of problems (K,) use edges (K,)."""
+        """(K,) whether agents (K,) of problems (K,) use edges (K,); no agent may be NOBODY."""
         ...
 
     def solution(self, m: int = 0) -> Solution:

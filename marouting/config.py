@@ -374,7 +374,7 @@ def piece(kind: str, raw: Any, default: str | None = None, where: str = "") -> C
     try:
         for key in plainly:
             if key not in known:
-                raise InputError(unknown_key(str(key), [*known, "kind"], f"the {kind} {name}"))
+                raise InputError(unknown_key(str(key), known, f"the {kind} {name}", ("kind",)))
         options = build(schema, plainly)
     except InputError as error:
         raise under(where, error) from None

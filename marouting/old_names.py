@@ -61,15 +61,18 @@ REMOVED = {
 """Keys that version 0.3 removed without a replacement, and what they were for."""
 
 
-def unknown_key(key: str, known: Sequence[str], of: str = "") -> str:
-    """The message about a key that is not one of those known, perhaps of a piece."""
+def unknown_key(key: str, known: Sequence[str], of: str = "", also: Sequence[str] = ()) -> str:
+    """The message about a key that is not one of those known, perhaps of a piece.
+
+    ``also`` are other keys that may have been meant.
+    """
     name = key.rpartition(".")[2]
     new = RENAMED.get(name)
     if new and (new == _PRICES or new.partition(":")[0] in known):
         return f"{key}: unknown key; it is now {new}"
     if name in REMOVED:
         return f"{key}: unknown key; version 0.3 removed {REMOVED[name]}"
-    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    close = difflib.get_close_matches(name, [*known, *also], n=1, cutoff=0.5)
     # What follows must not lie in the middle of a long message, which is left out.
     listed = textwrap.shorten(", ".join(known), _LISTED, placeholder=" …")
     listed = (f"one of {listed}" if known else "none") + (f" for {of}" if of else "")

@@ -89,7 +89,7 @@ def test_in_priced_rounds_a_net_gets_its_cheapest_tree(problem: Problem, seed: i
             edges = [edge for edge in costs if used[edge_number(problem, edge)]]
             engine.settle(everyone=False)
             games = engine.games
-            if games["agent"][0] != n or games["round"][0] != number or games["ripped"][0]:
+            if games["agent"][0] != n or games["round"][0] != number or games["just_ripped"][0]:
                 break
         if least is not None:
             assert sum(costs[edge] or 0 for edge in edges) == pytest.approx(least)

@@ -946,7 +946,7 @@ def test_what_own_scenarios_are_refused() -> None:
         ({"validation": 0}, "validation: expected a number from 1 to 100000, found 0"),
         ({"validation": 1.5}, "validation: expected a whole number, found 1.5"),
         ({"test": True}, "test: expected a whole number, found True"),
-        ({"open_cost": -5}, "open_cost: expected a number from 0, found -5"),
+        ({"open_cost": -5}, "open_cost: expected a number from 0 to 1e+09, found -5"),
         ({"open_cost": float("nan")}, "open_cost: expected a number, found nan"),
         ({"open_cost": "x"}, "open_cost: expected a number, found 'x'"),
         ({"mirrors": "x"}, "mirrors: expected true or false, found 'x'"),

@@ -186,7 +186,7 @@ class Engine:
     def uses(
         self, problems: NDArray[np.integer], agents: NDArray[np.integer], edges: NDArray[np.integer]
     ) -> NDArray[np.bool_]:
-        """(K,) whether agents (K,) of problems (K,) use edges (K,)."""
+        """See :meth:`marouting.columns.Games.uses`."""
         uses = self.dynamic.used[problems, agents, edges >> 3] >> (edges & 7) & 1
         return uses.astype(np.bool_)
 

@@ -96,7 +96,7 @@ def _move_one(
 
 @inlined
 def _worth(prices: Any, share: int, overflow: int, joined: int, wirelength: int) -> Any:
-    """What a change of the problem's figures is worth."""
+    """What a change of the problem's figures pays."""
     return prices[share, 0] * overflow + prices[share, 1] * joined + prices[share, 2] * wirelength
 
 

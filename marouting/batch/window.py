@@ -315,7 +315,7 @@ def move_order(
     Returns:
         (…, A) int64: the action on the grid that each of the window's actions is. It is its own
         inverse, so ``numpy.take_along_axis(values, move_order(obs), -1)`` turns masks and values
-        (…, 6) of the grid into those of the window, and back.
+        (…, A) of the grid into those of the window, and back.
     """
     swapped = (obs[..., :2] < 0).repeat(2, axis=-1)  # +x with −x, and +y with −y
     vias = np.zeros((*obs.shape[:-1], MOVES - 2 * VIA_AXIS), np.bool_)

@@ -64,7 +64,7 @@ class Exploration(PerNetworkState):
         Args:
             now: the player's buffers, of M games of K rows.
             movers: (M, K) rows whose agents move in the next step, see :attr:`.Player.movers`.
-            scores: (M, K, 6) logits of the moves.
+            scores: (M, K, A) logits of the moves.
             masking: whether only moves that cross an edge are chosen.
             chance: (M, K) filled with the log-probabilities of the chosen moves.
         """

@@ -101,7 +101,7 @@ class TrainedPolicy:
     """A trained network that always takes the move that it rates highest.
 
     Args:
-        module: the network: (B, *S) float32 observations to (B, 6) ratings.
+        module: the network: (B, *S) float32 observations to (B, A) ratings.
         masking: whether it chooses only among the moves that cross an edge.
         obs_shape: S.
         env: the game that it was trained in.

@@ -77,6 +77,12 @@ class Trainer:
         episodes: (M,) int64, episodes finished; where games draw their problems (1,), of all games.
         steps: likewise, the moves that agents have made, in games that go on as well.
         drawn: whether games draw their problems.
+        spent: the share of ``train.seconds`` that has passed, by ``clock``.
+        clock: tells that share; by default no time is limited.
+        score: (M, 3) of the best episode of each problem, less is better; infinite before one has
+            ended. Empty where games draw their problems, as are the next two.
+        best_episode: (M,) int64, which episode that was, from 0, or NOBODY.
+        best: its routes, or None.
         path: how the learner is computed, in words.
         walks: the evaluations made since :meth:`run` last yielded.
         saved: the networks that are saved.
@@ -144,12 +150,12 @@ class Trainer:
         alone = not drawn or self.learner.learning_starts == 0 or guide_ in GUIDES
         check("burn_in", alone, f"{' or '.join(GUIDES)} with train.games, found {guide_}")
         self.episodes, self.steps, self._told = np.zeros((3, count), np.int64)
-        self.spent = 0.0  # share of train.seconds that has passed, by the clock of a run
+        self.spent = 0.0
         self.clock: Callable[[], float] = float
         self._pace = math.inf  # seconds that an agent's move took last
         # What stays of each problem, unless each is played once, and of each network.
         best = 0 if drawn else count
-        self.score = np.full((best, 3), np.inf)  # of the best episode: less is better
+        self.score = np.full((best, 3), np.inf)
         self.best_episode = np.full(best, NOBODY, np.int64)
         self.best: list[Solution | None] = [None] * best
         setup, networks = self.learner.setup, self.learner.networks.flat

@@ -304,7 +304,7 @@ def losses(
     Args:
         actor: gives the scores of moves.
         critic: gives values.
-        part: ``obs`` (B, *S), ``state_`` (B, …), ``mask`` (B, 6), ``action`` (B,), the logarithm of
+        part: ``obs`` (B, *S), ``state_`` (B, …), ``mask`` (B, A), ``action`` (B,), the logarithm of
             its ``chance`` (B,) when it was chosen, ``advantage`` (B,) and ``returns`` (B,).
         o: the options.
     """

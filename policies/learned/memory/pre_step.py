@@ -13,7 +13,7 @@ class PreStep(NamedTuple):
 
     agents: NDArray[np.int32]  # (M, K)
     obs: NDArray[np.float32]  # (M, K, *S)
-    mask: NDArray[np.int8]  # (M, K, 6)
+    mask: NDArray[np.int8]  # (M, K, A)
 
     @classmethod
     def of(cls, player: Player) -> "PreStep":

@@ -11,7 +11,7 @@ F … 2F − 1            next_obs, in the same task
 2F + GOES_ON          weight of the value of next_obs, before the factor γ: 0 where the task was
                       joined, otherwise 1. A task that failed only ran out of steps, so its end is
                       bootstrapped like any other step, unless failures are final.
-2F + MASK …           six numbers, the action mask of next_obs; with masking only
+2F + MASK …           A numbers, the action mask of next_obs; with masking only
 ====================  ==============================================================================
 
 What an agent is paid after its last move, when it is done, is added to that move's reward.
