@@ -540,7 +540,11 @@ def test_a_run_goes_on(here: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPat
             r"--scenario: unknown name .*; did you mean toy-4x4-v0",
         ),
         (["--scenario", SCENARIO, "--router", "astr"], r"did you mean astar"),
-        (["--scenario", SCENARIO, "--router", "no/such.pt"], r"no/such.pt: cannot be read"),
+        (["--scenario", SCENARIO, "--router", "no/such.pt"], r"expected a file or a folder"),
+        (
+            ["--scenario", SCENARIO, "--router", "mine:Mine order=no.pt"],
+            r"expected one of .*no\.pt",
+        ),
         (["--scenario", SCENARIO, "--router", "no/such"], r"expected a file or a folder"),
         (["--scenario", SCENARIO, "--router", "astar best_off=2"], r"did you mean best_of"),
         (["--scenario", SCENARIO, "--router", "astar", "--budget", "x"], r"budget: expected"),

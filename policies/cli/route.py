@@ -93,7 +93,9 @@ def route(
     from policies.cli.progress import waiting, working
 
     results_alone()
-    policy = None if router in router_names() else policy_file(Path(router))
+    policy = Path(router) if router.endswith(".pt") else None
+    if router not in router_names():
+        policy = policy_file(Path(router)) or policy
     if policy is not None:
         check("--checkpoint", checkpoint is None, f"none beside --router {router}")
         with working(f"loading {policy}"):

@@ -47,11 +47,8 @@ Line = TypeVar("Line")
 
 
 def policy_file(path: Path) -> Path | None:
-    """The file of a trained policy that a path names: itself, or the one in a run folder."""
-    for inside in (path / POLICY, path / CHECKPOINT):
-        if is_file(inside):
-            return inside
-    return path if is_file(path) or path.suffix == ".pt" else None
+    """The file of a trained policy that a path leads to: itself, or the one in a run folder."""
+    return next(filter(is_file, (path / POLICY, path / CHECKPOINT, path)), None)
 
 
 def solution_file(folder: Path, problem: str, router: str) -> Path:
