@@ -307,7 +307,7 @@ _CONTEXT = {"network": 2, "learner": 1}
 
 
 class Component(NamedTuple):
-    """A piece that a configuration names, before it is made; :func:`take_pieces` makes them."""
+    """A piece that a configuration names, before it is made; see :func:`take_pieces`."""
 
     kind: str  # one of :data:`marouting.registry.KINDS`
     name: str  # a registered name or ``module:Class``

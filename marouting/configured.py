@@ -38,8 +38,8 @@ def make(
             :class:`marouting.options.EnvOptions`; or an object with one as its attribute ``env``.
             The other keys of a configuration (:data:`KEYS`) belong to trainings: their values are
             not looked at.
-        parallel: whether every net being an agent, all move in each step (PettingZoo's Parallel
-            environment) and not one after another (AEC).
+        parallel: for ``multi``, whether all nets move in each step (PettingZoo's Parallel
+            environment) or one after another (AEC).
         allow_code: whether a file may name observations and rewards as ``module:Class``, which is
             code that is imported. A mapping always may.
 

@@ -934,6 +934,8 @@ def test_folder_in_place_of_a_file_and_back(refused: Callable[..., str]) -> None
     assert "folder" in refused("train", "folder")
     assert "folder" in refused("evaluate", "p.gr", "folder")
     assert "folder" in refused("route", "p.gr", "--router", "dqn", "--checkpoint", "folder")
+    line = refused("route", "p.gr", "--router", "no.pt")
+    assert "--router no.pt: expected a file or a folder, found none there" in line
     assert "expected a run folder" in refused("plot", "folder")
     assert "expected a .gr file" in refused("train", "small.yaml", "env.problem=folder", "out=o")
     for command in (

@@ -5,6 +5,7 @@ What PettingZoo's, Gymnasium's and SuperSuit's own checks ask for is in test_env
 
 import copy
 import functools
+import itertools
 import pickle
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
@@ -734,6 +735,25 @@ def test_an_episode_of_random_moves_ends(turn_order: str) -> None:
     assert last == env.metrics()
     judged = evaluate(env.unwrapped.solution().problem, env.unwrapped.solution())
     assert (judged.overflow, judged.wirelength) == (last["overflow"], last["wirelength"])
+
+
+@pytest.mark.parametrize("options", [{}, {"target": "tree", "next_pin": "nearest"}])
+def test_edges_join_no_less_than_the_game_counts(options: dict[str, Any]) -> None:
+    """More with several pins, where edges of one task may join the pins of another."""
+    more = {2: 0, 5: 0}
+    for pins, seed in itertools.product(more, range(8)):
+        (problem,) = marouting.generate(1, nets=6, max_pins=pins, grid=(5, 5, 2), seed=seed)
+        env = global_routing_v0.parallel_env(problem=problem, max_steps=12, **options)
+        _, infos = env.reset(seed=seed)
+        rng = np.random.default_rng(seed)
+        while env.agents:
+            masks = {agent: infos[agent]["action_mask"] for agent in env.agents}
+            moves = {agent: int(rng.choice(np.flatnonzero(mask))) for agent, mask in masks.items()}
+            *_, infos = env.step(moves)
+        joined = marouting.evaluate(problem, env.solution()).joined
+        assert joined >= env.metrics()["joined"]
+        more[pins] += joined > env.metrics()["joined"]
+    assert more[2] == 0 < more[5]
 
 
 def test_an_agent_terminates_when_all_is_joined_and_is_truncated_else() -> None:

@@ -1122,6 +1122,16 @@ class Neither:
 """A module with routers, as a user writes one."""
 
 
+@pytest.mark.usefixtures("_undrawn", "at_once")
+def test_an_error_of_an_own_router_says_where_it_was(here: Path) -> None:
+    (here / "my_routers.py").write_text(MINE)
+    routers = {"mine": {"router": "my_routers:Mine", "order": "file"}}  # it asserts again=2
+    config = write_config(here / "c.yaml", routers=routers, problems={"s": SMALL}, seeds=[3])
+    with pytest.raises(AssertionError) as caught:
+        status(["experiment", str(config), "--allow-code"])
+    assert caught.value.__notes__ == ["while mine.seed3 worked on s"]
+
+
 @pytest.mark.usefixtures("_undrawn")
 def test_own_routers_stand_in_an_experiment(
     here: Path, refused: Callable[..., str], capsys: pytest.CaptureFixture[str]

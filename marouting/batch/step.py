@@ -122,8 +122,9 @@ class FastPath(NamedTuple):
     everyone: bool  # whether all agents have a row, or only the one whose turn it is
     sees_paper: bool  # whether the observation is the paper's
     pays_prices: bool  # whether the reward is nothing but the following prices
-    pays_others: bool | None  # True: prices beside the table, which only pays the agent that moves
-    # None, not False: numba then compiles the check away
+    # True: prices beside the table, which pays only the agent that moves. None, not False: numba
+    # then compiles the check away.
+    pays_others: bool | None
     via_capacity: float  # see PaperObservation
     table: NDArray[np.float32]  # (5, 3) see marouting.rewards.Prices
     overflow_price: float  # see Prices.added_overflow

@@ -57,14 +57,15 @@ def edges_in_boxes(
             "segments",
             row,
         )
-    first = [np.searchsorted(at, box[:, i], "right") - 1 for i, at in enumerate((chip.x, chip.y))]
-    last = [np.searchsorted(at, box[:, i + 2], "left") for i, at in enumerate((chip.x, chip.y))]
-    index, x, y = gcells_of_boxes(first, last, USED, "boxes of {} Gcells")
+    index, x, y, behind = gcells_touched(chip, box)
     _, rows, layers = problem.grid
     size = int(np.prod(problem.grid))
     keys = net[index] * size + (x * rows + y) * layers + layer[index]
     covered = distinct(keys)
-    inside = (x + 1 < last[0][index], y + 1 < last[1][index])  # the next Gcell is of the same box
+    inside = (
+        x + 1 < behind[0][index],
+        y + 1 < behind[1][index],
+    )  # the next Gcell is of the same box
     ends, axes, costs = [], [], []
     for axis in range(AXES):
         at, other = neighbours(problem.grid, covered, axis)
@@ -93,6 +94,28 @@ def edges_in_boxes(
         np.sort(AXES * covered[near[kept]] + np.concatenate(axes)[kept]), AXES * size
     )
     return net, edge, pins
+
+
+def gcells_touched(
+    chip: Chip, box: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], list[NDArray[np.int64]]]:
+    """The Gcells that boxes touch in their layers.
+
+    Args:
+        chip: with the lines between Gcells.
+        box: (n, 4) boxes on the chip, none of them empty, in chip coordinates.
+
+    Returns:
+        (k,) three times: of each Gcell the box, the column and the row; and two arrays (n,), the
+        column and the row behind each box.
+
+    Raises:
+        InputError: the Gcells would take too much memory.
+    """
+    lines = (chip.x, chip.y)
+    first = [np.searchsorted(at, box[:, i], "right") - 1 for i, at in enumerate(lines)]
+    behind = [np.searchsorted(at, box[:, i + 2], "left") for i, at in enumerate(lines)]
+    return *gcells_of_boxes(first, behind, USED, "boxes of {} Gcells"), behind
 
 
 def _are_open(

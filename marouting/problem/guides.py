@@ -11,9 +11,9 @@ from typing import TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.memory import USED
 from marouting.problem import ispd
-from marouting.problem.grid import AXES, VIA_AXIS, distinct, gcells_of_boxes, is_among, neighbours
+from marouting.problem.boxes import gcells_touched
+from marouting.problem.grid import AXES, VIA_AXIS, distinct, is_among, neighbours
 from marouting.problem.parts import joined_parts
 from marouting.problem.problem import Problem
 
@@ -97,18 +97,16 @@ def has_boxes(record: Record) -> TypeGuard[ispd.RoutesRecord]:
 
 
 def gcells_in_boxes(record: ispd.RoutesRecord, problem: Problem) -> NDArray[np.int64]:
-    """The Gcells that a guide's boxes touch, as nets · G + Gcell, ascending."""
+    """(k,) int64, the Gcells that a guide's boxes touch, as net · G + Gcell, ascending.
+
+    Raises:
+        InputError: they would take too much memory.
+    """
     chip = problem.chip_or_default
-    box, lines = chip.on_chip(record.boxes[:, :4]), (chip.x, chip.y)
+    box = chip.on_chip(record.boxes[:, :4])
     there = (box[:, :2] < box[:, 2:]).all(axis=1)
-    net, box, layer = record.net[there], box[there], record.boxes[there, 4]
-    first, last = [], []
-    for axis, line in enumerate(lines):
-        begin = np.searchsorted(line, box[:, axis], "right") - 1
-        end = np.searchsorted(line, box[:, axis + 2], "left")
-        first.append(begin.clip(0, len(line) - 2))
-        last.append(end.clip(first[axis] + 1, len(line) - 1))
-    index, x, y = gcells_of_boxes(first, last, USED, "boxes of {} Gcells")
+    net, layer = record.net[there], record.boxes[there, 4]
+    index, x, y, _ = gcells_touched(chip, box[there])
     gcell = np.stack((x, y, layer[index]), axis=1) @ problem.strides
     return distinct(net[index] * int(np.prod(problem.grid)) + gcell)
 

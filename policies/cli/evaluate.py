@@ -97,9 +97,9 @@ def show_figures(
     """Prints the figures of a solution, and those that its router adds."""
     from policies.results.rows import solution_row
 
-    open_nets = {"open_nets": evaluate(solution.problem, solution).disconnected}
     fields = {"router": router, **solution_row(solution, seconds), **report}
-    fields |= open_nets | contest_figures(solution)
+    fields["open_nets"] = evaluate(solution.problem, solution).disconnected
+    fields |= contest_figures(solution)
     disconnected = fields.pop("open_nets")  # they come last
     if as_json:
         click.echo(as_text({**fields, "open_nets": disconnected}))

@@ -18,9 +18,23 @@ from marouting.config import attributes, hints_of
 from marouting.files import exists
 from marouting.registry import allowing_code
 from policies.cli.completion import Complete
+from policies.results.run_folder import policy_file
 
 FILE = click.Path(path_type=Path)
 """The path of a file or folder, which shells complete."""
+
+
+class _Trained(click.Path):
+    """A trained policy: its file, also where the folder of its training is given."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The file of the policy, or the path as it is if it leads to none."""
+        path = super().convert(value, param, ctx)
+        return policy_file(Path(os.fsdecode(path))) or path
+
+
+TRAINED = _Trained(path_type=Path)
+"""The path of a trained policy or of its training's folder."""
 
 
 def options_of(schema: Any, but: Collection[str] = ()) -> Callable[[Any], Any]:

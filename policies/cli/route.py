@@ -19,6 +19,7 @@ from policies.cli.completion import options_of_the_router, routers
 from policies.cli.evaluate import show_figures
 from policies.cli.options import (
     FILE,
+    TRAINED,
     allow_code_option,
     json_option,
     overrides_argument,
@@ -49,7 +50,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--checkpoint",
-    type=FILE,
+    type=TRAINED,
     help="Trained policy, its file or its training's folder; without it, a learner is trained on "
     "the problem.",
 )
@@ -93,17 +94,15 @@ def route(
     from policies.cli.progress import waiting, working
 
     results_alone()
-    policy = Path(router) if router.endswith(".pt") else None
-    if router not in router_names():
-        policy = policy_file(Path(router)) or policy
+    policy = None if router in router_names() else policy_file(Path(router))
+    found = policy is not None or not router.endswith(".pt")
+    check(f"--router {router}", found, "a file or a folder, found none there")
     if policy is not None:
         check("--checkpoint", checkpoint is None, f"none beside --router {router}")
         with working(f"loading {policy}"):
             from policies.learned.policy import TrainedPolicy  # torch
 
             checkpoint, router = policy, TrainedPolicy.load(policy, problem.stem).learner
-    elif checkpoint is not None:
-        checkpoint = policy_file(checkpoint) or checkpoint
     learner = is_learner(router, "--router")
     if checkpoint and not learner:
         expected = " or ".join(names("learner"))

@@ -11,9 +11,9 @@ from marouting import InputError, Problem, ProblemFile, Solution, evaluate, sequ
 from marouting.config import check
 from marouting.files import check_apart, check_writable, is_dir, stem_of, suffix_of, write_text
 from marouting.rules import TurnOrder
-from policies.cli.options import FILE, allow_code_option, json_option, tell
+from policies.cli.options import FILE, TRAINED, allow_code_option, json_option, tell
 from policies.cli.source import problem_argument
-from policies.results.run_folder import policy_file, solutions_by_name
+from policies.results.run_folder import solutions_by_name
 from policies.routers.registry import labelled, router_label
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ FRAMES = 240
 )
 @click.option(
     "--checkpoint",
-    type=FILE,
+    type=TRAINED,
     help="File of a trained policy, which routes PROBLEM in the animation; without it, SOLUTION is "
     "replayed.",
 )
@@ -75,8 +75,6 @@ def view(
     from policies.figures.view import page
 
     kind = suffix_of(out)
-    if checkpoint is not None:
-        checkpoint = policy_file(checkpoint) or checkpoint
     if solutions and checkpoint:
         raise InputError("view: expected only one of SOLUTION and --checkpoint")
     moving = {"--checkpoint": checkpoint, "--turn-order": turn_order, "--frames": frames}
