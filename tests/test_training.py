@@ -6,6 +6,7 @@ trainer stores and logs; the same training uninterrupted, alone, or by another l
 
 import hashlib
 import itertools
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -646,6 +647,21 @@ def test_burn_in_with_masking_walks_through_open_edges_only() -> None:
         assert info["action_mask"][move] == 1
         _, _, terminated, truncated, info = env.step(move)
         over = terminated or truncated
+
+
+@pytest.mark.parametrize("fused", [False, True])
+def test_episodes_do_not_depend_on_the_clock(fused: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A slow machine looks at its clock after every step of all games, a fast one seldom."""
+    problems = {"p": tiny(), "q": tiny(1, nets=1), "r": tiny(2, nets=40)}
+    trainings = []
+    for seconds in (1.0, 0.0):
+        monkeypatch.setattr(time, "monotonic", itertools.count(step=seconds).__next__)
+        trainer = Trainer(problems, small_config(3, epsilon=0.2, fused=fused))
+        looks = list(trainer.run())
+        trainings.append((len(looks), [episode for ended in looks for episode in ended]))
+    (slow, one), (fast, other) = trainings
+    assert one == other
+    assert slow > 2 * fast
 
 
 @pytest.mark.parametrize("shared", [False, True])

@@ -86,40 +86,35 @@ def _remember(
 
 @allocating
 def _play_network(
-    n: int, steps: int, static: Static, dynamic: Dynamic, b: StepBuffers,
-    kernel_buffers: StepBuffers, fast: FastPath, play: Play, nets: Networks, rule: StepRule,
-    steps_per_update: int,
+    n: int, static: Static, dynamic: Dynamic, b: StepBuffers, kernel_buffers: StepBuffers,
+    fast: FastPath, play: Play, nets: Networks, rule: StepRule, steps_per_update: int,
 ) -> None:  # fmt: skip
-    """:meth:`FusedDQN.play` for network n and its games."""
+    """One step of :meth:`FusedDQN.play` for network n and its games."""
     each = len(b.over) // len(nets.updates)
     first, end = n * each, (n + 1) * each
     rows = b.agents.shape[1]
     activations = np.empty(units_of(nets.sizes) * each * rows, np.float32)
-    buffers = gradient_buffers(nets, rule.batch)
-    for _ in range(steps):
-        q_values(nets.sizes, nets.weights[n], b.obs[first:end], activations, play.values[first:end])
-        over = False
-        for m in range(first, end):
-            choose(
-                play.keys, play.counters, play.epsilon, b.active, b.mask, play.values, nets.masks,
-                b.actions, m,
-            )  # fmt: skip
-            mover = b.agents[m, 0]
-            for k in range(rows):
-                for f in range(b.obs.shape[2]):
-                    play.before[m, k, f] = b.obs[m, k, f]
-            step_problem(static, dynamic, kernel_buffers, fast, m)
-            over |= b.over[m]
-            for k in range(rows):
-                if b.acted[m, k]:
-                    who = b.agents[m, k] if fast.everyone else mover
-                    _remember(b, play, nets, n, m, k, who)
-                    play.pending[n] += 1
+    q_values(nets.sizes, nets.weights[n], b.obs[first:end], activations, play.values[first:end])
+    for m in range(first, end):
+        choose(
+            play.keys, play.counters, play.epsilon, b.active, b.mask, play.values, nets.masks,
+            b.actions, m,
+        )  # fmt: skip
+        mover = b.agents[m, 0]
+        for k in range(rows):
+            for f in range(b.obs.shape[2]):
+                play.before[m, k, f] = b.obs[m, k, f]
+        step_problem(static, dynamic, kernel_buffers, fast, m)
+        for k in range(rows):
+            if b.acted[m, k]:
+                who = b.agents[m, k] if fast.everyone else mover
+                _remember(b, play, nets, n, m, k, who)
+                play.pending[n] += 1
+    if play.pending[n] >= steps_per_update:
+        buffers = gradient_buffers(nets, rule.batch)
         while play.pending[n] >= steps_per_update:
             play.pending[n] -= steps_per_update
             gradient_step(n, nets, rule, buffers)
-        if over:
-            return
 
 
 @allocating
@@ -127,11 +122,14 @@ def _play(
     steps: int, static: Static, dynamic: Dynamic, b: StepBuffers, kernel_buffers: StepBuffers,
     fast: FastPath, play: Play, nets: Networks, rule: StepRule, steps_per_update: int,
 ) -> None:  # fmt: skip
-    """One network after the other, each with as many steps as it makes."""
-    for n in range(len(nets.updates)):
-        _play_network(
-            n, steps, static, dynamic, b, kernel_buffers, fast, play, nets, rule, steps_per_update
-        )
+    """One network after the other in every step."""
+    for _ in range(steps):
+        for n in range(len(nets.updates)):
+            _play_network(
+                n, static, dynamic, b, kernel_buffers, fast, play, nets, rule, steps_per_update
+            )
+        if b.over.any():
+            return
 
 
 @threaded
@@ -141,10 +139,13 @@ def _play_threaded(
 ) -> None:  # fmt: skip
     """:func:`_play`, with the networks shared out among threads."""
     # A function of its own: numba's cache does not look at options.
-    for n in prange(len(nets.updates)):
-        _play_network(
-            n, steps, static, dynamic, b, kernel_buffers, fast, play, nets, rule, steps_per_update
-        )
+    for _ in range(steps):
+        for n in prange(len(nets.updates)):
+            _play_network(
+                n, static, dynamic, b, kernel_buffers, fast, play, nets, rule, steps_per_update
+            )
+        if b.over.any():
+            return
 
 
 class FusedDQN(DQN):
@@ -190,7 +191,7 @@ class FusedDQN(DQN):
         )
 
     def play(self, player: Player, steps: int) -> None:
-        """See :meth:`policies.learned.learner.Learner.play`; one network after the other."""
+        """See :meth:`policies.learned.learner.Learner.play`."""
         b, explore, engine = player.buffers, self.explore, player.engine
         play = Play(
             np.empty((*b.agents.shape, MOVES), np.float32),
