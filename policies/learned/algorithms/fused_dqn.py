@@ -85,7 +85,7 @@ def _remember(
 
 
 @allocating
-def _play_network(
+def _step_network(
     n: int, static: Static, dynamic: Dynamic, b: StepBuffers, kernel_buffers: StepBuffers,
     fast: FastPath, play: Play, nets: Networks, rule: StepRule, steps_per_update: int,
 ) -> None:  # fmt: skip
@@ -125,7 +125,7 @@ def _play(
     """One network after the other in every step."""
     for _ in range(steps):
         for n in range(len(nets.updates)):
-            _play_network(
+            _step_network(
                 n, static, dynamic, b, kernel_buffers, fast, play, nets, rule, steps_per_update
             )
         if b.over.any():
@@ -141,7 +141,7 @@ def _play_threaded(
     # A function of its own: numba's cache does not look at options.
     for _ in range(steps):
         for n in prange(len(nets.updates)):
-            _play_network(
+            _step_network(
                 n, static, dynamic, b, kernel_buffers, fast, play, nets, rule, steps_per_update
             )
         if b.over.any():
