@@ -292,7 +292,7 @@ def test_the_command(tmp_path, monkeypatch, capfd):
     assert (status, notes) == (0, "5 open nets: A* completes them in the animation\n")
     assert text.startswith("4 pictures") or text.startswith("3 pictures")
     for arguments, expected in (
-        (["--out", "x.bmp"], "x.bmp: expected a picture's suffix"),
+        (["--out", "x.bmp"], "x.bmp: expected a name with the suffix .html"),
         (["--out", "x.svg", "p.astar.solution", "--checkpoint", "p.pt"], "only one of SOLUTION"),
         (["--out", "x.svg", "--frames", "1"], "--frames: expected a number from 2"),
         (["--out", "x.svg", "missing"], "missing: cannot be read"),

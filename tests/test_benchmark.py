@@ -263,6 +263,7 @@ def test_the_leaderboard_is_made_of_files_alone(
     assert shown["overflow"] == "2"
     for path in written[1:]:
         assert f"pictures/leaderboard/{path.name}" in text
+    assert "../scenarios.md" not in text  # this page is in no documentation that has it
     # Made again from the same files, it is the same.
     assert status([*command, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["files"] == [str(path) for path in written]

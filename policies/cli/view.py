@@ -72,9 +72,13 @@ def view(
     from policies import figures
     from policies.cli.progress import working
     from policies.figures.animation import record, replay, save_animation
+    from policies.figures.style import is_picture
     from policies.figures.view import page
 
     kind = suffix_of(out)
+    if kind not in (PAGE, *MOVING) and not is_picture(out):
+        kinds = ".html (a page), .svg, .gif (an animation), .png or .pdf (a picture)"
+        raise InputError(f"{out}: expected a name with the suffix {kinds}")
     if solutions and checkpoint:
         raise InputError("view: expected only one of SOLUTION and --checkpoint")
     moving = {"--checkpoint": checkpoint, "--turn-order": turn_order, "--frames": frames}

@@ -12,7 +12,7 @@ from typing import Any
 
 from marouting import InputError, scenarios
 from marouting.config import check
-from marouting.files import write_text
+from marouting.files import is_file, write_text
 from marouting.scenarios.score import Figures
 from policies.experiment.result import Result, Task, read_result, summarise
 from policies.results.rows import RESULTS
@@ -154,13 +154,16 @@ def _page(
     groups: Mapping[_Group, Sequence[Result]], drawn: set[str], results: Path, page: Path
 ) -> str:
     folder = Path(os.path.relpath(results, page.parent)).as_posix()
+    protocol = "`docs/scenarios.md`"
+    if is_file(page.parent / "../scenarios.md"):
+        protocol = "[Scenarios](../scenarios.md)"
     lines = [
         "# Leaderboard",
         "",
         f"All scores of the benchmark, by scenario. Made by `marouting benchmark --out "
         f"{results.as_posix()} --leaderboard {page.as_posix()}` from the files in "
         f"[{folder.removeprefix('../')}]({folder}); do not edit it. "
-        "[Scenarios](../scenarios.md) explains the protocol and how to add a row.",
+        f"{protocol} explains the protocol and how to add a row.",
     ]
     tracks = (("Planners", _PLANNERS, False), ("Policies", _POLICIES, True))
     for title, notes, policies in tracks:

@@ -5,6 +5,7 @@ import textwrap
 import warnings
 from pathlib import Path
 
+from matplotlib.backend_bases import FigureCanvasBase
 from matplotlib.figure import Figure
 
 from marouting.errors import InputError
@@ -44,6 +45,11 @@ def fitted(text: str, inches: float, points: float = 11) -> str:
     return "\n".join(line for parts in lines for line in parts)
 
 
+def is_picture(path: Path) -> bool:
+    """Whether :func:`save` can write a file of that suffix."""
+    return (path.suffix[1:].lower() or "png") in FigureCanvasBase.get_supported_filetypes()
+
+
 def save(figure: Figure, path: str | os.PathLike[str]) -> None:
     """Writes a figure at 150 dpi, whole or not at all.
 
@@ -52,9 +58,9 @@ def save(figure: Figure, path: str | os.PathLike[str]) -> None:
         path: the file; its suffix gives the format (``.png`` if there is none).
     """
     target = Path(path)
-    kind = target.suffix[1:].lower() or "png"
-    if kind not in figure.canvas.get_supported_filetypes():
+    if not is_picture(target):
         raise InputError(f"{target}: expected a picture's suffix such as .png, .pdf or .svg")
+    kind = target.suffix[1:].lower() or "png"
     with writing(target) as temporary, warnings.catch_warnings():
         # What the font lacks is drawn as a box.
         warnings.filterwarnings("ignore", "Glyph|Matplotlib currently does not", UserWarning)
