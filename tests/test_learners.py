@@ -998,7 +998,7 @@ def test_the_fused_dqn_is_chosen_where_it_applies() -> None:
     setup = setup_of(player, ["a"])
 
     def path(setup: Setup = setup, **options: Any) -> str:
-        return FusedDQN.start(setup, options_of("dqn", **options)).path
+        return FusedDQN.start(setup, options_of("dqn", **options)).backend
 
     own = setup_of(player_of([tiny()], multi=False, observation=Telling()), ["a"])
     dueling = piece("network", {"kind": "mlp", "dueling": True})
@@ -1097,10 +1097,10 @@ def test_saved_networks_are_ordinary_modules_that_walk_alike(name: str, multi: b
     play(learner, player, 10)
     problems = [tiny(7, nets=5), tiny(8, nets=3)]
     pairs = player_of([*problems, *problems], multi)  # of both networks beside one another
-    learner.walk(pairs, np.arange(2))
+    learner.play_greedily(pairs, np.arange(2))
     for row, weights in enumerate(state_dicts(learner.networks)):
         walked, other = player_of(problems, multi), player_of(problems, multi)
-        learner.walk(walked, np.array([row]))
+        learner.play_greedily(walked, np.array([row]))
         module = learner.network(learner.options, (FEATURES,))
         module.load_state_dict(weights)
         now = other.buffers

@@ -125,7 +125,7 @@ if __name__ == "__main__":
         },
     )
     run = Run(config)
-    print("learner:", run.trainer.learner.path)
+    print("learner:", run.trainer.learner.backend)
     joined = []
     rows = run.execute(lambda episodes: joined.extend(e.joined / e.tasks for e in episodes))
     first, last = np.mean(joined[:100]), np.mean(joined[-100:])

@@ -66,6 +66,6 @@ if __name__ == "__main__":
         },
     )
     run = Run(config)
-    print("learner:", run.trainer.learner.path)
+    print("learner:", run.trainer.learner.backend)
     print("network:", run.trainer.learner.networks.module)
     show(run.execute(), "own_network")

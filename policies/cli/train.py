@@ -105,7 +105,7 @@ def train(
         now = getattr(settings.train, name)
         longer = f"; learner.{falls[0]} now refers to the longer training" if falls else ""
         click.echo(f"{resume}: train.{name} was {had}, now {now}{longer}", err=True)
-    click.echo(f"learner {settings.learner.name}: {run.trainer.path}", err=True)
+    click.echo(f"learner {settings.learner.name}: {run.trainer.backend}", err=True)
     with training_bar(*run.progress, run.best, run.reference) as watch:
-        rows = run.execute(lambda some: watch(some, run.trainer.walks, run.progress[0]))
+        rows = run.execute(lambda some: watch(some, run.trainer.evaluations, run.progress[0]))
     tell_rows(rows)

@@ -135,7 +135,7 @@ class Imitation(Learner):
         rules = player.engine.rules
         check("rip_up.choose", not rules.asks, "all, conflicts or history, for imitation")
         check("wait", setup.actions == MOVES, "false, and message_bits 0, for imitation")
-        self.path = f"torch, batched on {setup.device}"
+        self.backend = f"torch, batched on {setup.device}"
         self.networks = self._stack("weights", setup.obs_shape, setup.actions)
         self.adam = Adam(self.networks.flat)
         self.explore = Exploration(setup.game_keys("explore"))

@@ -58,9 +58,9 @@ class DeviceTrainer:
         names: the names of ``problems``.
         episodes: (1,) int64, episodes finished.
         steps: (1,) int64, moves of agents that have been learned from.
-        walks: the evaluations made since :meth:`run` last yielded.
+        evaluations: the evaluations made since :meth:`run` last yielded.
         saved: the network that is saved.
-        path: where it all happens, in words.
+        backend: where it all happens, in words.
 
     Raises:
         InputError: there is no device, or an option is not supported on it.
@@ -88,7 +88,7 @@ class DeviceTrainer:
                 train.games or 1, problem=source, device="cuda", seed=config.seed, **env
             )
         assert isinstance(self.env, CudaBatchEnv)
-        self.path = f"torch and games on {train.device}"
+        self.backend = f"torch and games on {train.device}"
         rows = self.env.num_problems * self.env.num_agents
         observation = config.env.observation.make()
         steps = max(STEPS, round(options.rollout / rows))
@@ -98,7 +98,7 @@ class DeviceTrainer:
         self.spent = 0.0  # share of train.seconds that has passed, by the clock of a run
         self.clock: Callable[[], float] = float
         self.best_episode = np.zeros(0, np.int64)
-        self.walks: list[GreedyEvaluation] = []
+        self.evaluations: list[GreedyEvaluation] = []
         shape, actions = self.env.single_observation_space.shape, self.env.single_action_space.n
         flat = self._weights()[None]
         self.saved = SavedNetworks(config, ("all",), shape or (), int(actions), flat)
@@ -158,7 +158,7 @@ class DeviceTrainer:
 
     def _evaluate(self) -> None:
         """Has the network play the validation problems, if that is due, and keeps the best."""
-        self.walks = []
+        self.evaluations = []
         due = self.episodes[0] >= self._evaluated[0] + self._every or not self.running[0]
         if not due:
             return
@@ -172,7 +172,7 @@ class DeviceTrainer:
             pass
         played = int(self.episodes[0])
         found = {name: (played, player.engine.metrics(m)) for m, name in enumerate(self.names)}
-        self.walks = self.saved.judge(0, weights, played, int(self.steps[0]), found)
+        self.evaluations = self.saved.judge(0, weights, played, int(self.steps[0]), found)
 
     @property
     def _every(self) -> int:

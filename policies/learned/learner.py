@@ -98,7 +98,7 @@ class Learner(PerNetworkState, abc.ABC):
         networks: those that choose moves, the ones that are saved.
         updates: (L,) int64 gradient steps taken.
         loss: (L,) float64 sum of the losses of all gradient steps.
-        path: how it computes, for the log.
+        backend: how it computes, for the log.
         learning_starts: transitions that each network must have seen before it plays.
         burn_in: who plays until then, see :func:`policies.learned.burn_in.guide`.
     """
@@ -111,7 +111,7 @@ class Learner(PerNetworkState, abc.ABC):
     """Defaults of options that differ when problems are endless."""
 
     rows: ClassVar[tuple[str, ...]] = ("updates", "loss")
-    path: str = "torch"
+    backend: str = "torch"
     learning_starts: int = 0
     burn_in: str = "random"
     networks: Stack
@@ -192,7 +192,7 @@ class Learner(PerNetworkState, abc.ABC):
             steps: how many at most; it returns after one in which an episode ended.
         """
 
-    def walk(self, player: Player, networks: NDArray[np.int64]) -> None:
+    def play_greedily(self, player: Player, networks: NDArray[np.int64]) -> None:
         """Plays the games of a player to their end, without exploration.
 
         Args:

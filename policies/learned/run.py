@@ -423,8 +423,8 @@ class Run:
 
             for episodes in trainer.run():
                 held.begun = True
-                if episodes or trainer.walks:
-                    logs.write(episodes, trainer.walks)
+                if episodes or trainer.evaluations:
+                    logs.write(episodes, trainer.evaluations)
                 if watch is not None:
                     watch(episodes)
                 due = time.monotonic() - saved >= config.train.checkpoint_seconds

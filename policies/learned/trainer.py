@@ -83,8 +83,8 @@ class Trainer:
             ended. Empty where games draw their problems, as are the next two.
         best_episode: (M,) int64, which episode that was, from 0, or NOBODY.
         best: its routes, or None.
-        path: how the learner is computed, in words.
-        walks: the evaluations made since :meth:`run` last yielded.
+        backend: how the learner is computed, in words.
+        evaluations: the evaluations made since :meth:`run` last yielded.
         saved: the networks that are saved.
 
     Raises:
@@ -161,10 +161,10 @@ class Trainer:
         setup, networks = self.learner.setup, self.learner.networks.flat
         self.saved = SavedNetworks(config, setup.names, setup.obs_shape, setup.actions, networks)
         self._evaluated = np.zeros(len(networks), np.int64)  # episodes at the last evaluation
-        self.walks: list[GreedyEvaluation] = []
+        self.evaluations: list[GreedyEvaluation] = []
         # Of the network before the episode: loss, steps.
         self._episode_start = np.zeros((len(b.over), 2))
-        self.path = self.learner.path
+        self.backend = self.learner.backend
         self._tell_episodes()
 
     @property
@@ -247,7 +247,7 @@ class Trainer:
             self.player.reset()
             self.burn_in()
         while self.running.any():
-            self.walks = []
+            self.evaluations = []
             before, began = self.player.engine.games["steps"].copy(), time.monotonic()
             self.learner.play(self.player, self._steps_ahead)
             made = self.player.engine.games["steps"] - before
@@ -318,7 +318,7 @@ class Trainer:
         """Has networks that are due play without exploration, and keeps the best of each."""
         train = self.config.train
         of = np.arange(len(self.names)) * (not train.shared)  # the network of each problem
-        self.walks = []
+        self.evaluations = []
         played = np.broadcast_to(self.episodes, len(self.names))
         networks = np.unique(of[problems])
         episodes = np.array([played[of == network].min() for network in networks], np.int64)
@@ -336,7 +336,7 @@ class Trainer:
         shown = np.flatnonzero(np.isin(of, networks)).reshape(len(networks), -1)
         player = self._evaluator.part(shown.ravel())
         player.reset()
-        self.learner.walk(player, rows)
+        self.learner.play_greedily(player, rows)
         walked = np.array([player.engine.metrics(m) for m in range(shown.size)], object)
         for network, row, now, places, metrics in zip(
             networks.tolist(), rows, episodes, shown, walked.reshape(shown.shape), strict=True
@@ -346,7 +346,7 @@ class Trainer:
             }
             weights = self.learner.networks.flat[row]
             steps = int(self.steps.sum() if train.shared or self.drawn else self.steps[network])
-            self.walks += self.saved.judge(network, weights, int(now), steps, found)
+            self.evaluations += self.saved.judge(network, weights, int(now), steps, found)
 
     def solutions(self) -> dict[str, Solution]:
         """The best episode's routes of every problem that has finished one.

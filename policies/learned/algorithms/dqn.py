@@ -109,7 +109,9 @@ class DQN(Learner):
             f"at least {setup.games // len(names) * setup.rows}, the moves of one step",
         )
         self.learning_starts, self.burn_in = o.burn_in_size, o.burn_in
-        self.path = "torch, CUDA graph" if device.type == "cuda" else f"torch, batched on {device}"
+        self.backend = (
+            "torch, CUDA graph" if device.type == "cuda" else f"torch, batched on {device}"
+        )
         self.networks = self._stack("weights", setup.obs_shape, setup.actions)
         self.adam = Adam(self.networks.flat)
         self.memory = self._memory()

@@ -156,7 +156,7 @@ class FusedDQN(DQN):
 
     def __init__(self, setup: Setup, options: DQNOptions) -> None:
         super().__init__(setup, options)
-        self.path = "fused"
+        self.backend = "fused"
 
     @classmethod
     def start(cls, setup: Setup, options: DQNOptions) -> Learner:

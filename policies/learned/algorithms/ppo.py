@@ -127,7 +127,7 @@ class PPO(Learner):
         )
         features = int(np.prod(setup.obs_shape)) + int(np.prod(setup.state_shape))
         sees = (features,) if self.central else setup.obs_shape
-        self.path = f"torch, batched on {setup.device}"
+        self.backend = f"torch, batched on {setup.device}"
         self.networks = self._stack("weights", setup.obs_shape, setup.actions)
         self.critic = self._stack("critic", sees, 1)
         self.adam = Adam(self.networks.flat, eps=1e-5)
