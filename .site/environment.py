@@ -32,7 +32,7 @@ def _arguments() -> Iterator[str]:
         defaults = {field.name: field for field in fields(cls if prefix else GameOptions)}
         for name, about in attributes(cls).items():
             field = defaults[name]
-            default = field.metadata.get("name", field.default)  # of a piece, or another value
+            default = field.metadata.get("name", field.default)  # of a component, or another value
             nested = is_dataclass(default)  # its fields have rows of their own
             shown = f"{type(default).__name__}()" if nested else repr(default)
             yield f"| `{prefix}{name}` | `{shown}` | {about} |"

@@ -1,6 +1,6 @@
 """Games as observations and rewards see them: by columns, with the problem as the first axis.
 
-Pieces are written once and work everywhere: in the batch, whose games are such columns
+Components are written once and work everywhere: in the batch, whose games are such columns
 (:class:`marouting.batch.engine.Engine`), and in the environments, where one plain game is shown as
 columns of a single problem (:class:`Columns`).
 

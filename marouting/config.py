@@ -1,17 +1,17 @@
-"""From plain data to checked options: dataclasses as schemas, and pieces by name.
+"""From plain data to checked options: dataclasses as schemas, and components by name.
 
 A dataclass defines the keys of a configuration, their types and their defaults, which are found
 nowhere else. Types are checked strictly. For an unknown key, the error message suggests the nearest
 known one.
 
-A **piece** is a part that users may write themselves. A configuration refers to it by its name in
-:mod:`marouting.registry`::
+A **component** is a part that users may write themselves. A configuration refers to it by its name
+in :mod:`marouting.registry`::
 
     reward: {kind: paper, reached: 10}
     reward: {kind: "my_package.rewards:Selfless", share: 0.5}
 
-The options of a piece are the fields of its class if that is a dataclass, the fields of its nested
-dataclass ``Options`` if it has one, and the keyword parameters of its constructor otherwise.
+The options of a component are the fields of its class if that is a dataclass, the fields of its
+nested dataclass ``Options`` if it has one, and the keyword parameters of its constructor otherwise.
 """
 
 import dataclasses
@@ -216,7 +216,7 @@ def _record(kind: Any, value: Any) -> Any:
                 raise InputError(unknown_key(str(key), list(hints)))
         for f in fields(kind):
             none = f.name in value and value[f.name] is None
-            check(f.name, not ("kind" in f.metadata and none), f"{_PIECE}, found null")
+            check(f.name, not ("kind" in f.metadata and none), f"{_COMPONENT}, found null")
     for name in required:
         if name not in value:
             raise InputError(f"{name}: expected a value, found none")
@@ -298,25 +298,25 @@ def _prefix(where: str) -> str:
     return f"{where}: " if where else ""
 
 
-# --- pieces ---------------------------------------------------------------------------------------
+# --- components -----------------------------------------------------------------------------------
 
-_PIECE = "a name, a mapping with kind, or an object in Python"
+_COMPONENT = "a name, a mapping with kind, or an object in Python"
 
 _CONTEXT = {"network": 2, "learner": 1}
-"""The number of arguments that the constructor of a piece gets before its options."""
+"""The number of arguments that the constructor of a component gets before its options."""
 
 
 class Component(NamedTuple):
-    """A piece that a configuration names, before it is made; see :func:`take_pieces`."""
+    """A component that a configuration names, before it is made; see :func:`take_components`."""
 
     kind: str  # one of :data:`marouting.registry.KINDS`
     name: str  # a registered name or ``module:Class``
     cls: type[Any]  # the class
-    options: Any  # checked: the piece, its class's ``Options`` or keyword arguments
-    given: bool = False  # whether the piece was given as an object
+    options: Any  # checked: the component, its class's ``Options`` or keyword arguments
+    given: bool = False  # whether the component was given as an object
 
     def make(self, *context: Any) -> Any:
-        """Makes the piece with what its kind needs: a network's shapes, a learner's Setup."""
+        """Makes the component with what its kind needs: a network's shapes, a learner's Setup."""
         if self.given:
             return self.options
         if isinstance(self.options, Mapping):
@@ -326,13 +326,13 @@ class Component(NamedTuple):
         return self.cls(*context, self.options)
 
 
-def piece_field(kind: str, name: str | None = None, **options: Any) -> Any:
-    """A field of a schema that holds a piece, by default that of a name with these options."""
+def component_field(kind: str, name: str | None = None, **options: Any) -> Any:
+    """A field of a schema that holds a component, by default that of a name with these options."""
     return field(default=None, metadata={"kind": kind, "name": name, "options": options})
 
 
-def take_pieces(options: Any) -> None:
-    """Replaces names, mappings and objects in the piece fields of a schema by pieces.
+def take_components(options: Any) -> None:
+    """Replaces names, mappings and objects in the component fields of a schema by components.
 
     A schema's ``__post_init__`` calls this.
     """
@@ -344,23 +344,23 @@ def take_pieces(options: Any) -> None:
             if isinstance(value, str) and ":" in value and f.name != kind:
                 # Elsewhere code_named would not find it.
                 raise InputError(f"{f.name}: expected a mapping with kind, found {value!r}")
-            object.__setattr__(options, f.name, piece(kind, value, name, f.name))
+            object.__setattr__(options, f.name, component(kind, value, name, f.name))
 
 
-def piece(kind: str, raw: Any, default: str | None = None, where: str = "") -> Component:
-    """Turns the value of a configuration or an argument into a piece.
+def component(kind: str, raw: Any, default: str | None = None, where: str = "") -> Component:
+    """Turns the value of a configuration or an argument into a component.
 
     Args:
         kind: one of :data:`marouting.registry.KINDS`.
         raw: a name or ``module:Class``; a mapping with ``kind`` and options; None for the default;
-            or the piece itself, as an object.
+            or the component itself, as an object.
         default: the name if none is given; None: the first one registered.
         where: the start of error messages.
     """
     if isinstance(raw, Component):
         return raw
     if isinstance(raw, bool | int | float | list | tuple | type):
-        raise InputError(f"{_prefix(where)}expected {_PIECE}, found {raw!r}")
+        raise InputError(f"{_prefix(where)}expected {_COMPONENT}, found {raw!r}")
     if raw is not None and not isinstance(raw, str | Mapping):
         return Component(kind, name_of(kind, type(raw)), type(raw), raw, given=True)
     plainly: dict[str, Any] = {"kind": raw} if isinstance(raw, str) else dict(raw or {})
@@ -421,7 +421,7 @@ def _same(value: Any) -> Any:
 def plain(value: Any) -> Any:
     """A configuration as plain data, such as YAML and JSON hold.
 
-    A piece becomes a mapping of its options, with its name under ``kind``.
+    A component becomes a mapping of its options, with its name under ``kind``.
     """
     if isinstance(value, Component):
         options = value.options
@@ -450,7 +450,7 @@ Keys = tuple[str, ...]  # the keys that lead to a value
 def code_named(data: Any, above: Keys = ()) -> Iterator[tuple[Keys, str]]:
     """Every ``module:Class`` in the data, with the keys that lead to it.
 
-    Names of pieces are under the key ``kind``, or under that of their kind, such as ``reward``;
+    Names of components are under the key ``kind``, or under that of their kind, such as ``reward``;
     those of scenarios under ``scenario``.
     """
     if isinstance(data, Component):
@@ -481,7 +481,7 @@ def allowing_code_of(data: Any) -> AbstractContextManager[None]:
 def check_code(data: Any, file: str, lines: Mapping[Keys, int] | None = None) -> None:
     """Raises InputError if a file names a ``module:Class`` that is not allowed.
 
-    Every reader of files that can name pieces calls this first.
+    Every reader of files that can name components calls this first.
     """
     allowed = code_allowed()
     for keys, name in () if allowed is True else code_named(data):

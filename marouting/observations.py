@@ -16,9 +16,9 @@ An observation whose agents see no further than their surroundings says so by an
 ``local_radius``, a whole number from 0; see :func:`local_radius_of`. Comparisons of decentralised
 policies need such observations, and :func:`marouting.batch.locality.check_local` verifies them.
 
-docs/own-pieces.md has a worked example. A simpler form works in the environments, but not in the
-batch or in training: instead of ``write``, a method ``see(game, n)`` that returns what agent n of
-a :class:`marouting.game.Game` sees.
+docs/own-components.md has a worked example. A simpler form works in the environments, but not in
+the batch or in training: instead of ``write``, a method ``see(game, n)`` that returns what agent n
+of a :class:`marouting.game.Game` sees.
 """
 
 import functools
@@ -343,18 +343,18 @@ def _has_state(observation: Observation) -> bool:
     return all(callable(getattr(observation, name, None)) for name in ("state", "state_space"))
 
 
-def has_form(piece: object, form: str, *others: str) -> bool:
+def has_form(component: object, form: str, *others: str) -> bool:
     """Whether a component is to be used by one of several methods that say the same.
 
     Args:
-        piece: an observation or a reward.
+        component: an observation or a reward.
         form: the method in question, such as ``write``.
         others: its other forms, such as ``see``. If a class of a user's overrides one of them
             alone, the inherited ``form`` says something else; in the package all always agree.
     """
-    if form in getattr(piece, "__dict__", {}):
+    if form in getattr(component, "__dict__", {}):
         return True
-    for cls in type(piece).__mro__:
+    for cls in type(component).__mro__:
         if form in vars(cls):
             return True
         if not (is_ours(cls.__module__) or vars(cls).keys().isdisjoint(others)):

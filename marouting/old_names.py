@@ -62,7 +62,7 @@ REMOVED = {
 
 
 def unknown_key(key: str, known: Sequence[str], of: str = "", also: Sequence[str] = ()) -> str:
-    """The message about a key that is not one of those known, perhaps of a piece.
+    """The message about a key that is not one of those known, perhaps of a component.
 
     ``also`` are other keys that may have been meant.
     """

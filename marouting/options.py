@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
-from marouting.config import Component, build, check, piece_field, take_pieces
+from marouting.config import Component, build, check, component_field, take_components
 from marouting.errors import InputError, UnknownOption
 from marouting.generator import GeneratorOptions
 from marouting.old_names import unknown_key
@@ -60,8 +60,8 @@ class GameOptions(Rules):
     problem: ProblemSource | None = None
     scenario: str | None = None
     split: Split = "train"
-    observation: Component = piece_field("observation", "paper")
-    reward: Component = piece_field("reward", "paper")
+    observation: Component = component_field("observation", "paper")
+    reward: Component = component_field("reward", "paper")
     agents_persist: bool = False
     render_mode: RenderMode | None = None
 
@@ -78,7 +78,7 @@ class GameOptions(Rules):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        take_pieces(self)
+        take_components(self)
         if self.scenario is None:
             check("split", self.split == "train", "a scenario beside it")
             object.__setattr__(self, "problem", SMALL if self.problem is None else self.problem)
@@ -105,7 +105,7 @@ class GameOptions(Rules):
 
 
 FORMS = {"observation": ("write", "see", "space"), "reward": ("__call__", "pay")}
-"""For each kind of piece: its method for columns, the one for a plain game, and further methods."""
+"""For each kind of component: its method for columns, that for a plain game, and further ones."""
 
 TOLD = (
     "active", "is_success", "joined", "metrics", "net", "open", "overflow", "problem", "steps",
@@ -164,7 +164,7 @@ def game_options(options: Mapping[str, Any], agents: Agents | None = None) -> Ga
     plain.pop("agents", None)
     for name in ("observation", "reward"):
         check(name, plain.get(name, name) is not None, "a name, a mapping or an object, found None")
-    pieces = {
+    components = {
         name: plain.pop(name)
         for name in ("observation", "reward")
         if not isinstance(plain.get(name), Mapping | str | None)
@@ -175,7 +175,7 @@ def game_options(options: Mapping[str, Any], agents: Agents | None = None) -> Ga
         if re.split(r"[.:]", str(error))[0] in plain.keys() - options.keys():
             raise InputError(f"{options['scenario']}: env.{error}") from None
         raise
-    checked = replace(checked, **pieces)
+    checked = replace(checked, **components)
     if agents is None or checked.turn_order is not None:
         return checked
     return replace(checked, turn_order=ORDERS[agents])

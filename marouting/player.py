@@ -79,7 +79,7 @@ class Player:
 
     Attributes:
         played: (M, K) the moves on the grid of the last step.
-        fast: what the compiled step knows about the pieces.
+        fast: what the compiled step knows about the components.
     """
 
     def __init__(
@@ -93,12 +93,13 @@ class Player:
         draws: ProblemSampler | None = None,
         turned: bool = False,
     ) -> None:
-        for name, piece in (("observation", observation), ("reward", reward)):
+        for name, component in (("observation", observation), ("reward", reward)):
             columns, plain = FORMS[name][:2]
             what = f"a method {columns}, which all but AEC, Parallel and gymnasium.make need"
-            fits, found = has_form(piece, columns, plain), f"found none in {type(piece).__name__}"
-            if hasattr(piece, columns) and not fits:
-                found = f"found an inherited one in {type(piece).__name__}, beside its own {plain}"
+            cls, fits = type(component).__name__, has_form(component, columns, plain)
+            found = f"found none in {cls}"
+            if hasattr(component, columns) and not fits:
+                found = f"found an inherited one in {cls}, beside its own {plain}"
             check(name, fits, f"{what}, {found}")
         self.engine, self.observation, self.reward = engine, observation, reward
         self.turned = turned and has_move_order(observation)
@@ -293,7 +294,7 @@ class Player:
             for seen, mask in ((b.obs, b.mask), (b.final_obs, b.final_mask)):
                 seen[m], mask[m] = 0, 1
 
-    # --- any pieces ---------------------------------------------------------------------------
+    # --- any components ---------------------------------------------------------------------------
 
     def _update_before(self, which: Any) -> None:
         """Copies the games of some problems to ``before``, which rewards are given."""

@@ -1,6 +1,6 @@
-"""Pieces by name: finds the class that a configuration names.
+"""Components by name: finds the class that a configuration names.
 
-Users can write five kinds of pieces: observations, rewards, routers, learners and networks.
+Users can write five kinds of components: observations, rewards, routers, learners and networks.
 Wherever a name is expected, ``module:Class`` is accepted as well.
 
 A name comes from one of two places:
@@ -30,17 +30,17 @@ from typing import Any
 from marouting.errors import InputError, nearest
 
 KINDS = ("observation", "reward", "router", "network", "learner")
-"""The kinds of pieces that can be registered."""
+"""The kinds of components that can be registered."""
 
 _allowed: ContextVar[bool | frozenset[str]] = ContextVar("allowed", default=False)
 
 _folder: ContextVar[str | None] = ContextVar("folder", default=None)
 
 _HOMES = {"observation": "marouting.observations", "reward": "marouting.rewards"}
-"""The modules that register this package's own pieces."""
+"""The modules that register this package's own components."""
 
 _PACKAGE = ("marouting.", "policies.")
-"""How the paths of the package's own pieces begin."""
+"""How the paths of the package's own components begin."""
 
 _registered: dict[str, dict[str, type[Any] | str]] = {kind: {} for kind in KINDS}
 
@@ -72,19 +72,20 @@ def register(kind: str, name: str, cls: type[Any] | str) -> None:
 
     Args:
         kind: one of :data:`KINDS`.
-        name: the name, which no piece of the package has. Registering it again replaces the class.
+        name: the name, which no component of the package has. A second registration replaces the
+            first.
         cls: the class, or ``module:Class``, which is imported when it is first used.
 
     Raises:
-        InputError: there is no such kind, the name contains a colon, or a piece of the package has
-            it.
+        InputError: there is no such kind, the name contains a colon, or a component of the package
+            has it.
     """
     _check_kind(kind)
     if not isinstance(name, str) or not name or ":" in name:
         raise InputError(f"{kind}: expected a name without a colon, found {name!r}")
     if not isinstance(cls, type | str):
         raise InputError(f"{kind}: expected a class or module:Class, found {cls!r}")
-    # The package may register its own pieces after the user did.
+    # The package may register its own components after the user did.
     paths = {_path(cls), _path(_registered[kind].get(name, cls))}
     if len(paths) > 1 and any(path.startswith(_PACKAGE) for path in paths):
         raise InputError(

@@ -12,9 +12,9 @@ turn order. An agent's reward for the step is the sum of what all these moves pa
 environment, what an agent is paid for the moves of others accumulates until its turn, as PettingZoo
 defines. In the Gymnasium environment, one player moves all nets and gets what all of them are paid.
 
-docs/own-pieces.md has a worked example. A reward that pays only the agent that moves has a simpler
-form, which works in the environments but not in the batch or in training: a method ``pay(game,
-n)`` that returns what agent n gets for its last move (:class:`marouting.game.Game`).
+docs/own-components.md has a worked example. A reward that pays only the agent that moves has a
+simpler form, which works in the environments but not in the batch or in training: a method
+``pay(game, n)`` that returns what agent n gets for its last move (:class:`marouting.game.Game`).
 
 Cooperative rewards use the *cost* of a problem, the weighted sum of overflow, open tasks and
 wirelength. ``team`` and ``difference`` pay the reduction of the cost by a move, so that rewards add
@@ -43,7 +43,7 @@ from numpy.typing import NDArray
 
 from marouting.checks import check_fields
 from marouting.columns import Before, Games
-from marouting.config import check, of_key, piece
+from marouting.config import check, component, of_key
 from marouting.errors import InputError
 from marouting.game import NOBODY, Crossing, Ending, Game
 from marouting.observations import has_form
@@ -325,7 +325,7 @@ class MixedReward:
             weight = of_key(key, options.pop("weight", 1.0), float)
             fits = abs(weight) <= _MOST_WEIGHT
             check(key, fits, f"{-_MOST_WEIGHT:g} to {_MOST_WEIGHT:g}, found {weight!r}")
-            reward = piece("reward", options, where=f"parts.{number}").make()
+            reward = component("reward", options, where=f"parts.{number}").make()
             what = f"a reward that has __call__, not pay alone, found {type(reward).__name__}"
             check(f"parts.{number}", has_form(reward, "__call__", "pay"), what)
             made.append((float(weight), reward))

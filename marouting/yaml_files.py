@@ -293,9 +293,9 @@ def override(raw: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]
     Args:
         raw: plain data, as from YAML.
         overrides: ``key=value``, with dots between the parts of a key and the value as in YAML. A
-            mapping replaces the whole of one, and the name of a piece all of its options. Keys of
-            what is replaced may be given as well, in any order: ``reward.step=-1 reward=paper``. Of
-            values for the same key the last one counts.
+            mapping replaces the whole of one, and the name of a component all of its options. Keys
+            of what is replaced may be given as well, in any order: ``reward.step=-1 reward=paper``.
+            Of values for the same key the last one counts.
 
     Raises:
         InputError: a text is not such, or a key has both keys of its own and a value without keys.

@@ -12,7 +12,7 @@ import torch
 
 import marouting
 from marouting import InputError
-from marouting.config import build, code_named, piece_field, take_pieces
+from marouting.config import build, code_named, component_field, take_components
 from marouting.registry import allowing_code, code_allowed, importing_from
 from marouting.yaml_files import read_yaml, yaml_text
 from policies.cli.main import status
@@ -26,7 +26,7 @@ CODE = """
 from pathlib import Path
 Path("ran").touch()
 """
-PIECES = """
+COMPONENTS = """
 from marouting.rewards import PaperReward as Team
 from policies.routers.astar import AStarRouter as Mine
 """
@@ -53,7 +53,7 @@ def here(run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator
     """A folder with a module, and with files that name what is in it."""
     monkeypatch.chdir(tmp_path)
     before = list(sys.path)
-    Path("evil.py").write_text(CODE + PIECES)
+    Path("evil.py").write_text(CODE + COMPONENTS)
     marouting.generate(1, grid=(4, 4, 2), nets=3)[0].write("p.gr")
     Path("train.yaml").write_text(
         f"out: t\nenv:\n  {SMALL}\n  reward: {{kind: 'evil:Team'}}\n{QUIET}"
@@ -259,17 +259,17 @@ def test_names_that_are_no_code(tmp_path: Path) -> None:
     assert read_yaml(tmp_path / "a.yaml")["out"] == "C:runs"
 
 
-def test_pieces_stand_where_code_is_looked_for() -> None:
+def test_components_stand_where_code_is_looked_for() -> None:
     """Under the name of their kind: otherwise what a file names there would be imported."""
 
     class Options:
-        inner: Any = piece_field("reward")
+        inner: Any = component_field("reward")
 
     import dataclasses
 
     options = dataclasses.dataclass(Options)
     made = options(inner="evil:Team")
     with pytest.raises(InputError, match="inner: expected a mapping with kind, found 'evil:Team'"):
-        take_pieces(made)
+        take_components(made)
     nested = {"a": [{"kind": "b:C"}], "reward": "d:E", "c": "f:G", "router": {"kind": 3}}
     assert list(code_named(nested)) == [(("a", "0", "kind"), "b:C"), (("reward",), "d:E")]

@@ -40,7 +40,7 @@ from policies.learned.policy import TrainedPolicy
 from policies.learned.router import LearnedRouter
 from policies.learned.run import write_config
 from policies.routers.optimal import OptimalRouter
-from policies.routers.registry import router_names, router_piece
+from policies.routers.registry import router_component, router_names
 
 ROOT = Path(__file__).resolve().parents[1]
 PUBLISHED = ROOT.parent / "shared" / "data" / "liao2019"
@@ -1016,7 +1016,7 @@ UNKNOWN = {
 
 @pytest.mark.parametrize(("key", "said"), UNKNOWN.items(), ids=UNKNOWN)
 def test_unknown_keys(key: str, said: str, refused: Callable[..., str]) -> None:
-    # The key that a piece stands under ends with a colon and not with a dot.
+    # The key that a component stands under ends with a colon and not with a dot.
     line = refused("train", "small.yaml", f"{key}=1", out="runs").replace("env: ", "env.")
     assert f"{key}: unknown key; " in line
     assert said in line
@@ -1354,7 +1354,7 @@ def test_shipped_configurations_are_valid() -> None:
         elif "routers" in raw:
             assert isinstance(load_experiment(path), ExperimentConfig)
         elif path.stem in router_names() and "train" not in raw:
-            assert router_piece(path.stem, raw) == router_piece(path.stem, {})
+            assert router_component(path.stem, raw) == router_component(path.stem, {})
         else:
             assert isinstance(load_config(path), Config)
 
@@ -1480,7 +1480,7 @@ def test_an_override_changes_one_place() -> None:
 def test_a_name_and_its_keys_go_together(overrides: list[str]) -> None:
     expected = {"env": {"reward": {"kind": "team", "step": 2}}}
     assert override({}, [f"env.{text}" for text in overrides]) == expected
-    for kind in ("paper", "team"):  # a name replaces all options, also of the same piece
+    for kind in ("paper", "team"):  # a name replaces all options, also of the same component
         raw = {"env": {"reward": {"kind": kind, "reached": 1}}}
         assert override(raw, [f"env.{text}" for text in overrides]) == expected
 

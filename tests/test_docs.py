@@ -195,7 +195,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     home.mkdir()
     monkeypatch.chdir(home)
     monkeypatch.syspath_prepend(str(home))
-    registry.registered()  # the package's own pieces are registered when first asked for
+    registry.registered()  # the package's own components are registered when first asked for
     kinds = {kind: dict(known) for kind, known in registry._registered.items()}
     monkeypatch.setattr(registry, "_registered", kinds)
     known = set(sys.modules)

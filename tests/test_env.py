@@ -547,7 +547,7 @@ def test_states_of_other_games_are_refused() -> None:
             env.restore(saved)
 
 
-# Rewards and other pieces ------------------------------------------------------------------------
+# Rewards and other components ---------------------------------------------------------------------
 
 # Four Gcells in a row, two layers, capacity 1. Net A has three pins, net B two, "dot" nothing.
 ROW = Problem(

@@ -137,7 +137,7 @@ def test_an_example_does_what_it_says(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(EXAMPLES))
-    registry.registered()  # the package's own pieces are registered when first asked for
+    registry.registered()  # the package's own components are registered when first asked for
     known = {kind: {**own} for kind, own in registry._registered.items()}
     monkeypatch.setattr(registry, "_registered", known)
     runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
@@ -186,7 +186,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in NAMES if name.startswith("own_")])
-def test_own_pieces_with_an_installed_wheel(name: str, installed: Path, tmp_path: Path) -> None:
+def test_own_components_with_an_installed_wheel(name: str, installed: Path, tmp_path: Path) -> None:
     where = python(
         "-c", "import marouting; print(marouting.__file__)", cwd=tmp_path, path=installed
     )

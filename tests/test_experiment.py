@@ -52,7 +52,7 @@ from policies.results.statistics import (
 )
 from policies.routers.astar import AStarRouter
 from policies.routers.random import RandomRouter
-from policies.routers.registry import is_seeded, make_router, router_piece
+from policies.routers.registry import is_seeded, make_router, router_component
 
 ROOT = Path(__file__).resolve().parents[1]
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -1096,9 +1096,9 @@ def test_routers_are_made_from_plain_options() -> None:
     with pytest.raises(InputError, match="did you mean pathfinder"):
         make_router("pathfindr", {})
     own = ("astar", "random", "greedy", "pathfinder", "optimal")
-    seeded = [name for name in own if is_seeded(router_piece(name, {}))]
+    seeded = [name for name in own if is_seeded(router_component(name, {}))]
     assert seeded == ["random", "pathfinder"]
-    assert is_seeded(router_piece("astar", {"best_of": 2}))
+    assert is_seeded(router_component("astar", {"best_of": 2}))
 
 
 MINE = """

@@ -49,7 +49,7 @@ def test_a_file_begins_from_others_beside_it() -> None:
     assert read_yaml("own.yaml") == {
         "seed": 2,
         "env": {"max_steps": 12, "agents": "multi"},
-        "learner": {"kind": "ppo"},  # another piece takes none of a piece's options
+        "learner": {"kind": "ppo"},  # another component takes none of a component's options
         "train": {"episodes": 9, "threads": 2},
     }
     assert read_yaml("sub/middle.yaml")["learner"] == {"kind": "dqn", "batch_size": 2}

@@ -22,7 +22,7 @@ from torch import Tensor, nn
 from marouting import InputError, PaperObservation, PaperReward, Problem, generate
 from marouting.batch.engine import Engine
 from marouting.batch.step import StepBuffers
-from marouting.config import piece
+from marouting.config import component
 from marouting.game import NOBODY, Ending
 from marouting.player import Player
 from marouting.problem.grid import MOVES
@@ -112,7 +112,7 @@ def state_dicts(stack: Stack) -> list[dict[str, torch.Tensor]]:
 
 
 SMALL: dict[str, Any] = {
-    "network": piece("network", {"kind": "mlp", "hidden": [8]}),
+    "network": component("network", {"kind": "mlp", "hidden": [8]}),
     "gamma": 0.9,
     "learning_rate": 1e-2,
     "batch_size": 8,
@@ -123,7 +123,7 @@ SMALL: dict[str, Any] = {
     "epsilon_final": None,
 }
 SMALL_PPO: dict[str, Any] = {
-    "network": piece("network", {"kind": "mlp", "hidden": [8]}),
+    "network": component("network", {"kind": "mlp", "hidden": [8]}),
     "rollout": 64,
     "minibatch": 16,
     "num_envs": 2,
@@ -810,7 +810,7 @@ def test_gradient_step_is_that_of_autograd_and_adam(kind: type[DQN], case: dict[
     }
     gamma, rate, problems = 0.9, 1e-3, 3
     learner = learner_of(
-        kind, 100, network=piece("network", network), gamma=gamma, learning_rate=rate, **case
+        kind, 100, network=component("network", network), gamma=gamma, learning_rate=rate, **case
     )
     o = learner.options
     nets = [module_of(learner, row, weights) for row, weights in enumerate(learner.networks.flat)]
@@ -1001,7 +1001,7 @@ def test_the_fused_dqn_is_chosen_where_it_applies() -> None:
         return FusedDQN.start(setup, options_of("dqn", **options)).backend
 
     own = setup_of(player_of([tiny()], multi=False, observation=Telling()), ["a"])
-    dueling = piece("network", {"kind": "mlp", "dueling": True})
+    dueling = component("network", {"kind": "mlp", "dueling": True})
     assert path() == path(fused=True) == "fused"
     assert path(fused=False).startswith("torch")
     for there, options in [
@@ -1009,8 +1009,8 @@ def test_the_fused_dqn_is_chosen_where_it_applies() -> None:
         (setup, {"double": True}),
         (setup, {"final_failures": True}),
         (setup, {"network": dueling}),
-        (setup, {"network": piece("network", {"kind": "mlp", "activation": "tanh"})}),
-        (setup, {"network": piece("network", "tests.test_learners:Scaled")}),
+        (setup, {"network": component("network", {"kind": "mlp", "activation": "tanh"})}),
+        (setup, {"network": component("network", "tests.test_learners:Scaled")}),
     ]:
         assert obstacle(there, options_of("dqn", **options)) is not None
         assert path(there, **options).startswith("torch")
@@ -1167,7 +1167,7 @@ def test_ppo_learns_the_one_game_there_is() -> None:
     problem = tiny(5, capacity=5, reduced_edges=0)
     player = player_of([problem] * 8, multi=True, max_steps=30)
     options = PPOOptions(
-        network=piece("network", {"kind": "mlp", "hidden": [32]}),
+        network=component("network", {"kind": "mlp", "hidden": [32]}),
         rollout=1024, minibatch=256, learning_rate=3e-3, anneal=False,
     )  # fmt: skip
     learner = PPO.start(setup_of(player, ["a"], episodes=400), options)
@@ -1211,7 +1211,7 @@ def test_options_that_make_no_sense_are_refused(
     kind: str, options: dict[str, Any], message: str
 ) -> None:
     with pytest.raises(InputError) as error:
-        piece("learner", {"kind": kind, **options})
+        component("learner", {"kind": kind, **options})
     assert message in str(error.value)
 
 

@@ -32,7 +32,7 @@ from marouting import (
     generate,
     sequential_astar,
 )
-from marouting.config import build, piece
+from marouting.config import build, component
 from marouting.problem.contest import contest_cost
 from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.trees.steiner import EXACT_PINS
@@ -998,7 +998,7 @@ def test_the_tuned_schedule_is_that_of_its_time() -> None:
     made = router(passes=20, schedule="tuned").solve(problem)
     assert made.history == router(passes=20, **TUNED[np.inf]).solve(problem).history
     assert made.history != router(passes=20).solve(problem).history
-    named = piece(
+    named = component(
         "router", {"kind": "pathfinder", "schedule": "tuned", "passes": 20, "seconds": None}
     )
     assert named.make().route(problem) == made.solution
@@ -1028,7 +1028,7 @@ def test_the_tuned_schedule_is_that_of_its_time() -> None:
 )
 def test_old_names_of_routers_are_refused_with_the_new(old: str, new: str) -> None:
     with pytest.raises(InputError, match=f"'{old}'; it is now {new}; expected"):
-        piece("router", {"kind": old}).make()
+        component("router", {"kind": old}).make()
     with pytest.raises(InputError, match=f"'{old}'; it is now {new}; expected"):
         is_learner(old)
 
@@ -1037,7 +1037,7 @@ def test_is_a_router() -> None:
     made: Router = router(passes=3)
     problem = congested()
     named = {"kind": "policies.routers.pathfinder:PathfinderRouter", "passes": 3, "seconds": None}
-    assert piece("router", named).make().route(problem) == made.route(problem)
+    assert component("router", named).make().route(problem) == made.route(problem)
     assert router(passes=3).route(problem) == router(passes=3).solve(problem).solution
 
 

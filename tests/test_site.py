@@ -122,7 +122,7 @@ def test_pages_show_what_they_should(site: Path) -> None:
         name: re.sub(r"\s+", " ", re.sub(r"<[^>]+>", "", (site / name).read_text(encoding="utf-8")))
         for name in (
             "environment.html", "guide.html", "reference/problems.html", "reference/cli.html",
-            "own-pieces.html", "source/marouting/batch/rules.py.html",
+            "own-components.html", "source/marouting/batch/rules.py.html",
             "notes/leaderboard.html",
         )
     }  # fmt: skip

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from reference import contested
 
 from marouting import InputError, Net, Pin, Problem, generate, global_routing_v0
-from marouting.config import piece
+from marouting.config import component
 from marouting.env.single import GlobalRoutingSingle
 from marouting.game import NOBODY, Ending, Game
 from marouting.rewards import PricedReward, Prices, prices_of
@@ -128,7 +128,7 @@ class ByColumns(PricedReward):
     """A reward by its columns' form: the player does not know its prices."""
 
     def __init__(self, **options: Any) -> None:
-        self.reward: Any = piece("reward", options, where="reward").make()
+        self.reward: Any = component("reward", options, where="reward").make()
 
     @property
     def prices(self) -> Prices:

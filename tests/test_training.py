@@ -121,7 +121,7 @@ def bits(trainer: Trainer) -> list[bytes]:
     return [tensor.numpy().tobytes() for tensor in trainer.learner.state().values()]
 
 
-HERE, PIECES = __name__, "test_pieces"
+HERE, COMPONENTS = __name__, "test_components"
 
 
 class Together(PaperReward):
@@ -242,10 +242,10 @@ LEARNERS: dict[str, dict[str, Any]] = {
         "reward": {"overflow_price": 1},
     },
     "multi, masked, torch": {"agents": "multi", "masking": True, "fused": False},
-    "single, own pieces": {"observation": f"{PIECES}:Crowd", "reward": f"{HERE}:Together"},
-    "multi, own pieces": {
+    "single, own components": {"observation": f"{COMPONENTS}:Crowd", "reward": f"{HERE}:Together"},
+    "multi, own components": {
         "agents": "multi",
-        "observation": {"kind": f"{PIECES}:Crowd", "scale": 3},
+        "observation": {"kind": f"{COMPONENTS}:Crowd", "scale": 3},
         "reward": {"kind": f"{HERE}:Together", "share": 0.125},
     },
 }

@@ -158,29 +158,29 @@ def test_threads_change_nothing(turn_order: TurnOrder) -> None:
 
 
 class Plain:
-    """A piece without its compiled form: what anybody may inject."""
+    """A component without its compiled form: what anybody may inject."""
 
-    def __init__(self, piece: Any) -> None:
-        self._piece = piece
+    def __init__(self, component: Any) -> None:
+        self._component = component
 
     def space(self, *arguments: Any) -> Any:
-        return self._piece.space(*arguments)
+        return self._component.space(*arguments)
 
     def write(self, *arguments: Any) -> None:
-        self._piece.write(*arguments)
+        self._component.write(*arguments)
 
     def __call__(self, *arguments: Any) -> Any:
-        return self._piece(*arguments)
+        return self._component(*arguments)
 
 
-def test_injected_pieces_are_as_good_as_the_compiled_ones() -> None:
+def test_injected_components_are_as_good_as_the_compiled_ones() -> None:
     observation = PaperObservation(via_capacity=3)
     reward = PaperReward(reached=7, own_edge=-0.25, overflow_price=2)
     options: dict[str, Any] = {"overflow": "allowed", "max_steps": 9}
     expected = walk(BatchEnv(PROBLEMS, observation=observation, reward=reward, **options))
-    pieces = {"observation": Plain(observation), "reward": Plain(reward)}
+    components = {"observation": Plain(observation), "reward": Plain(reward)}
     for threads in (1, 2):
-        assert same(walk(BatchEnv(PROBLEMS, **pieces, **options, threads=threads)), expected)
+        assert same(walk(BatchEnv(PROBLEMS, **components, **options, threads=threads)), expected)
 
 
 @pytest.mark.parametrize("everyone", [True, False])
@@ -203,8 +203,8 @@ def test_games_with_options_are_the_same_compiled_and_not(
 ) -> None:
     options = {"max_steps": 12, "turn_order": turn_order, "everyone": everyone, **options}
     expected = walk(BatchEnv(PROBLEMS, **options), 400)
-    pieces = {"observation": Plain(PaperObservation()), "reward": Plain(PaperReward())}
-    assert same(walk(BatchEnv(PROBLEMS, **pieces, **options), 400), expected)
+    components = {"observation": Plain(PaperObservation()), "reward": Plain(PaperReward())}
+    assert same(walk(BatchEnv(PROBLEMS, **components, **options), 400), expected)
 
 
 def test_the_metrics_of_the_last_episode_stay() -> None:

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 import marouting
-from marouting.config import Component, build, check, piece_field, take_pieces
+from marouting.config import Component, build, check, component_field, take_components
 from marouting.game import Ending
 from policies.cli.tables import show
 from policies.learned.config import Config
@@ -30,7 +30,8 @@ from policies.learned.run import Run
 class SarsaOptions:
     """What expected SARSA is told."""
 
-    network: Component = piece_field("network", "mlp")  # these three names are known to the trainer
+    # The trainer knows these three names.
+    network: Component = component_field("network", "mlp")
     masking: bool = True  # whether only moves that cross an edge are chosen
     num_envs: int = 8  # games of every problem that are played side by side
     gamma: float = 0.95
@@ -38,7 +39,7 @@ class SarsaOptions:
     learning_rate: float = 1e-3
 
     def __post_init__(self) -> None:
-        take_pieces(self)
+        take_components(self)
         check("gamma", 0 <= self.gamma <= 1, "a number from 0 to 1")
 
 

@@ -117,7 +117,7 @@ class StepBuffers(NamedTuple):
 
 
 class FastPath(NamedTuple):
-    """What the compiled step has to know about the pieces."""
+    """What the compiled step has to know about the components."""
 
     everyone: bool  # whether all agents have a row, or only the one whose turn it is
     sees_paper: bool  # whether the observation is the paper's
@@ -141,7 +141,7 @@ class FastPath(NamedTuple):
         everyone: bool,
         make: Make = zeros,
     ) -> "FastPath":
-        """What the compiled step of M games on G Gcells (shape) has to know about these pieces."""
+        """What the compiled step of M games on G Gcells (shape) has to know about components."""
         paper = type(observation) is PaperObservation
         looks: Any = observation if paper else PaperObservation()
         prices = prices_of(reward)

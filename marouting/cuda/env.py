@@ -425,7 +425,7 @@ class CudaBatchEnv(BatchEnv):
 
 
 def unsupported(observation: Any, reward: Any) -> Iterator[tuple[str, str]]:
-    """The names of the pieces that cannot be used on a device, and what was expected."""
+    """The names of the components that cannot be used on a device, and what was expected."""
     seen, paid = type(observation), type(reward).__name__
     if seen not in (PaperObservation, WindowObservation):
         yield "observation", f"paper or window for device cuda, found {seen.__name__}"

@@ -41,11 +41,11 @@ METADATA: dict[str, Any] = {
 
 
 class GameEnv(EzPickle):
-    """A game of one problem with its pieces: what every environment has beyond its interface.
+    """A game of one problem with its components: what every environment has beyond its interface.
 
     A copy by :mod:`copy` or :mod:`pickle` goes on where the environment stands; only its spaces
-    draw samples of their own. Pieces of your own that keep a state are only copied with it if they
-    were given as objects.
+    draw samples of their own. Components of your own that keep a state are only copied with it if
+    they were given as objects.
 
     Attributes:
         game_class: the rules; a subclass of the environment may name its own

@@ -61,14 +61,14 @@ def options_of_the_router(
 ) -> list[CompletionItem]:
     """Completes KEY=VALUE by the options of the router that ``--router`` names."""
     from policies.learned.config import config_of, for_learner
-    from policies.routers.registry import is_learner, router_piece
+    from policies.routers.registry import is_learner, router_component
 
     name = str(ctx.params.get("router") or "astar")
     try:
         if is_learner(name):
             whole = plain(config_of(for_learner({}, name)))
         else:
-            whole = plain(router_piece(name, {}))
+            whole = plain(router_component(name, {}))
             del whole["kind"]
     except InputError:
         return []

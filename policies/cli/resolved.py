@@ -139,9 +139,9 @@ _TYPES = {bool: "boolean", int: "integer", float: "number", str: "string", NoneT
 
 
 def _origin(keys: tuple[str, ...], given: Origins) -> str:
-    """Where a value is from; a piece's name may stand for the piece, as in ``reward: team``."""
-    piece = keys[:-1] if keys[-1] == "kind" else keys
-    return given.get(keys, given.get(piece, "default"))
+    """Where a value is from; a component's name may stand for all of it, as in ``reward: team``."""
+    component = keys[:-1] if keys[-1] == "kind" else keys
+    return given.get(keys, given.get(component, "default"))
 
 
 def text_of(whole: Mapping[str, Any], origins: Origins) -> str:

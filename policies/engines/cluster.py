@@ -126,11 +126,11 @@ def _run(
 ) -> Any:
     """A task; it works in the folder of the process that asked for it, as that one would.
 
-    It knows the same pieces and scenarios by name, and files may name the same code.
+    It knows the same components and scenarios by name, and files may name the same code.
     """
-    folder, pieces, scenarios, allowed = known
-    for piece in pieces:
-        register(*piece)
+    folder, components, scenarios, allowed = known
+    for component in components:
+        register(*component)
     try:
         with allowing_code(allowed), contextlib.chdir(folder):
             for name in scenarios:

@@ -76,17 +76,17 @@ _to_the_end = contextlib.ExitStack()
 
 def _begin(
     lifeline: Connection,
-    pieces: Sequence[tuple[str, str, str]],
+    components: Sequence[tuple[str, str, str]],
     scenarios: Sequence[str],
     allowed: bool | frozenset[str],
 ) -> None:
-    """Prepares a process; it knows the same pieces and scenarios as the one that started it.
+    """Prepares a process; it knows the same components and scenarios as the one that started it.
 
     Files may name the same code.
     """
     _to_the_end.enter_context(allowing_code(allowed))
-    for piece in pieces:
-        register(*piece)
+    for component in components:
+        register(*component)
     for name in scenarios:
         load(name)
     # Ctrl-C goes to all processes of a terminal; the one that started the others handles it.

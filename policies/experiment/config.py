@@ -23,8 +23,8 @@ from policies.routers.registry import (
     has_seed,
     is_learner,
     is_seeded,
+    router_component,
     router_names,
-    router_piece,
     unknown,
 )
 
@@ -175,7 +175,7 @@ class Budget:
                 return dict(options)
             return override(options, [f"train.episodes={self.samples}"])
         seed = {"seed": 0} if has_seed(router) else {}
-        known = plain(router_piece(router, {**options, **seed}, where))
+        known = plain(router_component(router, {**options, **seed}, where))
         if self.samples is not None:
             return {**({_TRIES: self.samples} if _TRIES in known else {}), **options}
         time = next((option for option in _TIMES if option in known), None)
@@ -389,7 +389,7 @@ class Entry:
                 raise InputError(f"{where}: seed: expected none: set seeds of the experiment")
             options = spent.fill(router, options, where) if spent else options
             seed = {"seed": 0} if has_seed(router) else {}
-            made = router_piece(router, {**options, **seed}, where)
+            made = router_component(router, {**options, **seed}, where)
             seeded = is_seeded(made) or _seeded(options)
             options = {key: value for key, value in plain(made).items() if key not in seed}
             del options["kind"]
@@ -420,7 +420,7 @@ def load_experiment(
     Args:
         path: a YAML file.
         overrides: ``key=value``, as :func:`marouting.yaml_files.override` takes them.
-        allow_code: whether the file, and configurations that it names, may name pieces as
+        allow_code: whether the file, and configurations that it names, may name components as
             ``module:Class``, which is code that is imported. Overrides always may.
 
     Raises:

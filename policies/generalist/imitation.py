@@ -31,7 +31,7 @@ from torch import Tensor
 from marouting import Problem, Solution
 from marouting.batch.prices import UNIT
 from marouting.checks import check_fields
-from marouting.config import MOST, Component, check, piece_field, take_pieces
+from marouting.config import MOST, Component, check, component_field, take_components
 from marouting.game import NOBODY
 from marouting.kernels import compiled
 from marouting.observations import has_move_order, move_order_of
@@ -93,7 +93,7 @@ class ImitationOptions:
         masking: whether only moves that cross an edge are chosen.
     """
 
-    network: Component = piece_field("network", "mlp", hidden=(160, 128))
+    network: Component = component_field("network", "mlp", hidden=(160, 128))
     learning_rate: float = 1e-3
     anneal: bool = True
     memory: int = 300_000
@@ -108,7 +108,7 @@ class ImitationOptions:
     masking: bool = True
 
     def __post_init__(self) -> None:
-        take_pieces(self)
+        take_components(self)
         bounds = dict.fromkeys(("memory", "batch", "passes"), (1, MOST))
         bounds |= dict.fromkeys(("expert_fraction", "drawn", "expert_moves", "plain"), (0, 1))
         check_fields(self, reuse=(0, np.inf), regret=(0, np.inf), **bounds)

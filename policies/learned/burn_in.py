@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from marouting import InputError, Problem, Solution
 from marouting.batch.engine import Engine
-from marouting.config import piece
+from marouting.config import component
 from marouting.files import exists, is_dir, stem_of, suffix_of
 from marouting.registry import names
 from marouting.search.guides import AStar, RouteFollower
@@ -58,9 +58,9 @@ def guide(
         return AStar(engine)
     if burn_in in names("router"):
         chosen: dict[str, Any] = {"kind": burn_in}
-        if any(f.name == "seed" for f in fields(piece("router", chosen).options)):
+        if any(f.name == "seed" for f in fields(component("router", chosen).options)):
             chosen["seed"] = seed
-        router = piece("router", chosen).make()
+        router = component("router", chosen).make()
         replayed = [router.route(problem) for problem in problems.values()]
     copies = len(engine.problems) // len(problems)
     return RouteFollower(engine, [solution for solution in replayed for _ in range(copies)])

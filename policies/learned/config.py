@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from marouting.batch.prices import Negotiation
 from marouting.checks import check_fields
-from marouting.config import MOST, Component, build, check, piece_field, take_pieces
+from marouting.config import MOST, Component, build, check, component_field, take_components
 from marouting.options import EnvOptions, with_suggestions
 from marouting.registry import allowing_code, lookup, names
 from marouting.scenarios import get
@@ -119,11 +119,11 @@ class Config:
     seed: int = 0
     out: str = "runs/training"
     env: EnvOptions = field(default_factory=EnvOptions)
-    learner: Component = piece_field("learner")
+    learner: Component = component_field("learner")
     train: TrainOptions = field(default_factory=TrainOptions)
 
     def __post_init__(self) -> None:
-        take_pieces(self)
+        take_components(self)
         check("seed", 0 <= self.seed < 2**63, f"0 to {2**63 - 1}, found {self.seed}")
         wanted, found = getattr(self.learner.cls, "agents", None), self.env.agents
         what = f"{wanted} for {self.learner.name}, found {found}"
@@ -149,7 +149,7 @@ def load_config(
         path: a YAML file; None for the defaults.
         overrides: ``key=value`` with dots between the parts of a key, the value as in YAML.
         learner: the kind of learner that it must be for; None for any.
-        allow_code: whether the file may name pieces as ``module:Class``, which is code that is
+        allow_code: whether the file may name components as ``module:Class``, which is code that is
             imported. Overrides always may.
 
     Raises:

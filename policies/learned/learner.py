@@ -86,8 +86,8 @@ class Setup:
 class Learner(PerNetworkState, abc.ABC):
     """L networks with their optimisers and memories.
 
-    A subclass is a piece of the kind ``learner``: its attribute ``Options`` is a dataclass with
-    the fields ``network``, a piece, and ``masking``, whether only moves that cross an edge are
+    A subclass is a component of the kind ``learner``: its attribute ``Options`` is a dataclass with
+    the fields ``network``, a component, and ``masking``, whether only moves that cross an edge are
     chosen.
 
     Args:

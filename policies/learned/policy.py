@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from marouting import EnvOptions, InputError, PolicyResult, Problem, Solution, evaluate_policy
 from marouting.batch.engine import Engine
 from marouting.batch.prices import Negotiation
-from marouting.config import MOST, allowing_code_of, between, build, check, piece, plain
+from marouting.config import MOST, allowing_code_of, between, build, check, component, plain
 from marouting.observations import has_move_order, move_order_of
 from marouting.options import ORDERS, PLAYED
 from marouting.player import Player
@@ -149,7 +149,7 @@ class TrainedPolicy:
             state = read_checkpoint(path, training=False)
         kept = build(_Saved, state, where)
         names, env, obs_shape = kept["names"], kept["env"], kept["obs_shape"]
-        learner = piece("learner", kept["learner"], where=f"{where}: learner")
+        learner = component("learner", kept["learner"], where=f"{where}: learner")
         weights: Any = state.get("weights")
         fits = isinstance(weights, list) and len(names) == len(weights) == len(kept["episodes"]) > 0
         check(f"{where}: weights", fits, "a network for each name")

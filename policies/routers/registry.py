@@ -8,7 +8,7 @@ import inspect
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
-from marouting.config import Component, piece
+from marouting.config import Component, component
 from marouting.errors import InputError, nearest
 from marouting.registry import lookup, names
 from policies.routers.base import Router
@@ -81,7 +81,7 @@ def is_seeded(router: Component) -> bool:
     return has_seed(router.name) and bool(getattr(router.options, "seeded", True))
 
 
-def router_piece(name: str, options: Mapping[str, Any], where: str = "") -> Component:
+def router_component(name: str, options: Mapping[str, Any], where: str = "") -> Component:
     """A router with its options checked, before it is made.
 
     Args:
@@ -93,12 +93,12 @@ def router_piece(name: str, options: Mapping[str, Any], where: str = "") -> Comp
         InputError: an unknown router or option, or a value that the option does not take.
     """
     try:
-        return piece("router", {**options, "kind": name})
+        return component("router", {**options, "kind": name})
     except InputError as error:
         raise InputError(f"{where}: {error}" if where else str(error)) from None
 
 
 def make_router(name: str, options: Mapping[str, Any], where: str = "") -> Router:
-    """A router from plain options; see :func:`router_piece`."""
-    router: Router = router_piece(name, options, where).make()
+    """A router from plain options; see :func:`router_component`."""
+    router: Router = router_component(name, options, where).make()
     return router

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from marouting.checks import check_fields
-from marouting.config import MOST, Component, check, piece_field, take_pieces
+from marouting.config import MOST, Component, check, component_field, take_components
 from marouting.player import Player
 from policies.learned.exploration import Exploration
 from policies.learned.learner import Learner, Setup
@@ -59,7 +59,7 @@ class DQNOptions:
             :func:`policies.learned.algorithms.fused_dqn.obstacle`; None: where it applies.
     """
 
-    network: Component = piece_field("network", "mlp")
+    network: Component = component_field("network", "mlp")
     gamma: float = 0.95
     learning_rate: float = 1e-4
     batch_size: int = 32
@@ -77,7 +77,7 @@ class DQNOptions:
     fused: bool | None = None
 
     def __post_init__(self) -> None:
-        take_pieces(self)
+        take_components(self)
         shares = dict.fromkeys(("gamma", "epsilon", "epsilon_final"), (0, 1))
         counts = dict.fromkeys(("burn_in_size", "buffer_size", "steps_per_update"), (1, MOST))
         counts |= dict.fromkeys(("epsilon_decay_from", "target_period"), (0, MOST))

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from marouting.checks import check_fields
-from marouting.config import MOST, Component, check, piece_field, take_pieces
+from marouting.config import MOST, Component, check, component_field, take_components
 from marouting.game import Ending
 from marouting.observations import state_of
 from marouting.player import Player
@@ -64,7 +64,7 @@ class PPOOptions:
             games in which the limit of steps is part of what is to be learned (Pardo et al., 2018).
     """
 
-    network: Component = piece_field("network", "mlp", hidden=(64, 64))
+    network: Component = component_field("network", "mlp", hidden=(64, 64))
     critic: Literal["local", "central"] = "local"
     num_envs: int = 32
     gamma: float = 0.95
@@ -82,7 +82,7 @@ class PPOOptions:
     final_failures: bool = False
 
     def __post_init__(self) -> None:
-        take_pieces(self)
+        take_components(self)
         bounds = dict.fromkeys(("gamma", "gae_lambda"), (0, 1))
         bounds |= {"num_envs": (1, 65536), "minibatch": (2, MOST), "epochs": (1, 1000)}
         check_fields(self, entropy=(0, math.inf), rollout=(1, LONGEST), **bounds)

@@ -1,8 +1,8 @@
 """Own observations and rewards: the same in every face, in the batch and for the array player.
 
 One game is played in AEC; the moves are played again in the Parallel and Gymnasium environments and
-in the batch, and everything that agents see and get is compared. Pieces by name: registered ones,
-``module:Class`` and objects.
+in the batch, and everything that agents see and get is compared. Components by name: registered
+ones, ``module:Class`` and objects.
 """
 
 import math
@@ -33,7 +33,7 @@ from marouting import (
 )
 from marouting.batch.state import Dynamic
 from marouting.columns import Before, Games
-from marouting.config import piece, plain
+from marouting.config import component, plain
 from marouting.env.single import GlobalRoutingSingle
 from marouting.game import NOBODY, Ending, Game
 from marouting.options import GameOptions
@@ -129,7 +129,7 @@ def rounds(turns: list[dict[str, Any]], sequential: bool) -> list[list[dict[str,
     return found
 
 
-PIECES: dict[str, dict[str, Any]] = {
+COMPONENTS: dict[str, dict[str, Any]] = {
     "paper": {},
     "team": {"reward": {"kind": f"{HERE}:Team", "price": 3}},
     "crowd": {"observation": {"kind": f"{HERE}:Crowd", "scale": 2}},
@@ -140,15 +140,15 @@ PIECES: dict[str, dict[str, Any]] = {
 
 @given(
     contested(max_nets=6),
-    st.sampled_from(sorted(PIECES)),
+    st.sampled_from(sorted(COMPONENTS)),
     st.sampled_from(["sequential", "round_robin"]),
     st.sampled_from(["forbidden", "allowed"]),
     st.integers(0, 1000),
 )
 def test_the_same_moves_give_the_same_everywhere(
-    problem: Problem, pieces: str, order: Any, overflow: Any, seed: int
+    problem: Problem, components: str, order: Any, overflow: Any, seed: int
 ) -> None:
-    options = {**PIECES[pieces], "turn_order": order, "overflow": overflow, "max_steps": 6}
+    options = {**COMPONENTS[components], "turn_order": order, "overflow": overflow, "max_steps": 6}
     game = walk(problem, seed, **options)
     turns = game["turns"]
 
@@ -251,7 +251,7 @@ def test_rewards_that_float32_cannot_hold_are_refused(key: str) -> None:
 
 
 @given(contested(max_nets=6), st.booleans(), st.booleans(), st.integers(0, 1000))
-def test_any_pieces_play_as_the_compiled_ones(
+def test_any_components_play_as_the_compiled_ones(
     problem: Problem, everyone: bool, sequential: bool, seed: int
 ) -> None:
     """The turn-by-turn player against the compiled one, in all it writes."""
@@ -348,12 +348,12 @@ class Paid:
         return 2.0 * game.steps[n]
 
 
-def test_the_simple_forms_of_pieces() -> None:
+def test_the_simple_forms_of_components() -> None:
     problem = marouting.generate(1, grid=(4, 4, 2), nets=4, seed=1, reduced_edges=0)[0]
-    pieces: dict[str, Any] = {"observation": Seen(), "reward": Paid()}
-    aec = global_routing_v0.env(problem, **pieces)
+    components: dict[str, Any] = {"observation": Seen(), "reward": Paid()}
+    aec = global_routing_v0.env(problem, **components)
     aec.reset()
-    parallel = global_routing_v0.parallel_env(problem, **pieces)
+    parallel = global_routing_v0.parallel_env(problem, **components)
     seen, _ = parallel.reset()
     for agent in parallel.agents:
         np.testing.assert_array_equal(aec.observe(agent), seen[agent])
@@ -361,12 +361,12 @@ def test_the_simple_forms_of_pieces() -> None:
     assert set(rewards.values()) == {2.0}
     aec.step(4)
     assert sum(aec.rewards.values()) == 2
-    single = gymnasium.make(marouting.ENVIRONMENT_ID, problem=problem, **pieces).unwrapped
+    single = gymnasium.make(marouting.ENVIRONMENT_ID, problem=problem, **components).unwrapped
     single.reset()
     assert [single.step(4)[1], single.step(5)[1]] == [2, 4]
-    for name in pieces:
+    for name in components:
         with pytest.raises(InputError, match=rf"{name}: expected .* gymnasium.make need"):
-            BatchEnv([problem], **{name: pieces[name]})
+            BatchEnv([problem], **{name: components[name]})
 
 
 def seen_as(space: Any, see: Callable[[], Any]) -> Any:
@@ -517,7 +517,7 @@ def test_rewards_of_another_shape_are_refused_alone_and_in_mixtures(paid: Any, m
     if mixed:
         plain = None if isinstance(paid, dict) else 0.0
         told = [0.0] if isinstance(paid, np.ndarray) else plain
-        parts = [{"kind": "paper"}, {"kind": "test_pieces:Wrong", "paid": told}]
+        parts = [{"kind": "paper"}, {"kind": "test_components:Wrong", "paid": told}]
         own = {"kind": "mixed", "parts": parts}
     env = BatchEnv(marouting.generate(1, nets=10), reward=own)
     env.reset()
@@ -561,7 +561,7 @@ def test_environments_with_rules_of_their_own(base: Any) -> None:
 # --- names ----------------------------------------------------------------------------------------
 
 
-def test_a_registered_name_stands_wherever_a_piece_does() -> None:
+def test_a_registered_name_stands_wherever_a_component_does() -> None:
     marouting.register("reward", "team-of-this-test", Team)
     marouting.register("observation", "crowd-of-this-test", f"{HERE}:Crowd")
     assert "team-of-this-test" in registry.names("reward")
@@ -594,7 +594,7 @@ def test_a_registered_name_stands_wherever_a_piece_does() -> None:
         ({"observation": {"via_capacity": -1}}, "via_capacity: expected a number from 0"),
     ],
 )
-def test_pieces_that_cannot_be_had(options: dict[str, Any], message: str) -> None:
+def test_components_that_cannot_be_had(options: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=r"^[^\n]*$") as caught:
         global_routing_v0.parallel_env(**options)
     assert message in str(caught.value)
@@ -631,7 +631,7 @@ def test_an_object_without_a_name_cannot_be_written_down() -> None:
         with pytest.raises(InputError, match="reward: expected a name or module:Class"):
             plain(GameOptions(reward=own))  # type: ignore[arg-type]
     derived = plain(GameOptions(reward=Derived(step=-2)))["reward"]  # type: ignore[arg-type]
-    assert piece("reward", derived).make() == Derived(step=-2)
+    assert component("reward", derived).make() == Derived(step=-2)
 
 
 @pytest.mark.parametrize(
@@ -646,13 +646,13 @@ def test_an_object_without_a_name_cannot_be_written_down() -> None:
 def test_options_are_what_a_class_is_made_with(
     options: dict[str, Any], known: str, expected: float
 ) -> None:
-    own = piece("reward", options)
+    own = component("reward", options)
     assert own.make().step == expected
     written = plain(own)
     assert written[known] == options[known]
-    assert piece("reward", written).make().step == expected
+    assert component("reward", written).make().step == expected
     with pytest.raises(InputError, match=r"^mad: unknown key; "):
-        piece("reward", options | {"mad": 1})
+        component("reward", options | {"mad": 1})
 
 
 class Unresolved(PaperReward):
@@ -710,7 +710,7 @@ def test_names_of_the_package_stay_its_own() -> None:
             with pytest.raises(InputError, match=f"^{kind}: expected a name that no {kind} of the"):
                 marouting.register(kind, name, Team)
             assert registry.lookup(kind, name) is not Team
-    # A package that announces a piece may be first.
+    # A package that announces a component may be first.
     marouting.register("network", "late-of-this-test", Team)
     with pytest.raises(InputError, match="found 'late-of-this-test'"):
         marouting.register("network", "late-of-this-test", "policies.learned.networks.mlp:MLP")
