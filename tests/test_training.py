@@ -745,11 +745,11 @@ def test_the_saved_network_is_the_best_of_all_evaluations(
     )
     problems = {"p": tiny(), "q": tiny(1)}
     trainer = Trainer(problems, config)
-    walk = type(trainer.learner).walk
+    play_greedily = type(trainer.learner).play_greedily
     found: list[tuple[str, int, tuple[int, ...]]] = []
 
     def note(self: Any, player: Any, network: int) -> None:
-        walk(self, player, network)
+        play_greedily(self, player, network)
         for m, problem in enumerate(player.engine.problems):
             name = next(name for name, own in problems.items() if own is problem)
             now = player.engine.metrics(m)
@@ -759,7 +759,7 @@ def test_the_saved_network_is_the_best_of_all_evaluations(
             score = now.tasks - now.joined, now.overflow, now.wirelength
             found.append((name, after, score))
 
-    monkeypatch.setattr(type(trainer.learner), "walk", note)
+    monkeypatch.setattr(type(trainer.learner), "play_greedily", note)
     train(trainer)
     for names in [("p", "q")] if shared else [("p",), ("q",)]:
         scores: dict[int, NDArray[np.int64]] = {}

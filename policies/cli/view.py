@@ -76,9 +76,6 @@ def view(
     from policies.figures.view import page
 
     kind = suffix_of(out)
-    if kind not in (PAGE, *MOVING) and not is_picture(out):
-        kinds = ".html (a page), .svg, .gif (an animation), .png or .pdf (a picture)"
-        raise InputError(f"{out}: expected a name with the suffix {kinds}")
     if solutions and checkpoint:
         raise InputError("view: expected only one of SOLUTION and --checkpoint")
     moving = {"--checkpoint": checkpoint, "--turn-order": turn_order, "--frames": frames}
@@ -90,6 +87,9 @@ def view(
     if checkpoint is not None and turn_order is not None:
         raise InputError("--turn-order: expected none with --checkpoint: the policy has its own")
     check_apart(out, *problem.files, *solutions, *([checkpoint] if checkpoint else []))
+    if kind not in (PAGE, *MOVING) and not is_picture(out):
+        kinds = ".html (a page), .svg, .gif (an animation), .png or .pdf (a picture)"
+        raise InputError(f"{out}: expected a name with the suffix {kinds}")
     loaded = problem.read()
     check_writable(out)
     found = {} if checkpoint else _solutions(problem, loaded, solutions)

@@ -174,7 +174,9 @@ def write_rows(scenario: Scenario, rows: Sequence[Row]) -> None:
     writer.writerow(names)
     for row in rows:
         values = (getattr(row, name) for name in names)
-        writer.writerow([of if isinstance(of, str) else json.dumps(of) for of in values])
+        writer.writerow(
+            [value if isinstance(value, str) else json.dumps(value) for value in values]
+        )
     path = file_of(scenario)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, text.getvalue())

@@ -146,17 +146,17 @@ def _entry(
     scenario: str | None,
 ) -> Entry:
     """An entry with a budget, unless it has its own, and bound to this version."""
-    told, router = dict(raw), raw.get("router")
+    options, router = dict(raw), raw.get("router")
     named = isinstance(router, str) and router not in (PUBLISHED, SOLUTIONS)
     learns = named and is_learner(str(router))
     if scenario is not None and learns and "checkpoint" not in raw:
         what = f"--training-steps or --training-seconds: {name} is trained once"
         check("--budget", budget is None and "budget" not in raw, what)
-        told["scenario"] = scenario
+        options["scenario"] = scenario
     elif budget is not None:
-        told.setdefault("budget", budget.text)
+        options.setdefault("budget", budget.text)
         source = [*source, "--budget", budget.text]
-    entry = Entry.of(name, told)
+    entry = Entry.of(name, options)
     version = __version__ if entry.routes else None
     return replace(entry, version=version, source=shlex.join(source))
 
@@ -254,13 +254,13 @@ class Benchmark(Experiment):
             )
             for name in entry.only or ():
                 _ = scenarios.get(name)  # or an error
-            own = [f"{name}{tail}" for name in entry.only or names if name in names]
+            sets = [f"{name}{tail}" for name in entry.only or names if name in names]
             for scenario in map(scenarios.get, names if entry.trains else ()):
                 fits = entry.zero_shot == scenario.name or not scenario.has_local_rule(split)
                 what = f"{scenario.name} alone with {entry.name}, which is trained for it"
                 check("--scenario", fits and (len(names) == 1 or not entry.zero_shot), what)
-            if own:
-                routers[entry.name] = {**entry.plain, "only": own if entry.only else None}
+            if sets:
+                routers[entry.name] = {**entry.plain, "only": sets if entry.only else None}
         super().__init__(
             ExperimentConfig(
                 out=os.fspath(folder),
@@ -282,9 +282,9 @@ class Benchmark(Experiment):
         files = []
         for name in self.scenarios:
             for entry in entries:
-                own = [row for row in rows if (row["set"], row["router"]) == (name, entry.name)]
-                if own:
-                    files.append(self._result(name, entry, own).write(self.folder))
+                found = [row for row in rows if (row["set"], row["router"]) == (name, entry.name)]
+                if found:
+                    files.append(self._result(name, entry, found).write(self.folder))
         return {"files": files}
 
     def _tasks_of(self, name: str) -> tuple[Task, ...]:
@@ -292,12 +292,12 @@ class Benchmark(Experiment):
         if name not in self._tasks:
             tasks, scenario = [], self.scenarios[name]
             known = scenario.has_references(self.split)
-            for of, problem in self.sets[name].items():
+            for problem_name, problem in self.sets[name].items():
                 best = scenario.reference(problem) if known else None
                 found = evaluate(problem, sequential_astar(problem))
                 tasks.append(
                     Task(
-                        problem=of,
+                        problem=problem_name,
                         astar=Figures.of(found),
                         reference=None if best is None else (0, best.overflow, best.wirelength),
                         proven=best is not None and best.proven,
@@ -364,17 +364,20 @@ class Benchmark(Experiment):
         found = [build_json(About, read_text(file, _ABOUT_BYTES), str(file)) for file in files]
         for file, one in zip(files, found, strict=True):
             for key in ("sight", "teacher", "parameters"):
-                expected, own = getattr(found[0], key), getattr(one, key)
-                check(f"{file}: {key}", own == expected, f"{expected}, as in {files[0]}")
+                expected, value = getattr(found[0], key), getattr(one, key)
+                check(f"{file}: {key}", value == expected, f"{expected}, as in {files[0]}")
         took = {
             key: [getattr(one, key) for one in found] for key in ("agent_steps", "training_seconds")
         }
-        told = [of for of in took.values() if None not in of]
+        known = [values for values in took.values() if None not in values]
         lengths = took["agent_steps"]
-        apart = told and all(max(of) > _SPREAD * min(of) for of in told)
+        apart = known and all(max(values) > _SPREAD * min(values) for values in known)
         what = f"trainings of one length, found agent-steps of {lengths}"
         check(f"routers.{entry.name}: seeds", not apart, what)
-        means = {key: None if None in of else statistics.fmean(of) for key, of in took.items()}
+        means = {
+            key: None if None in values else statistics.fmean(values)
+            for key, values in took.items()
+        }
         steps, seconds = means["agent_steps"], means["training_seconds"]
         return replace(
             found[0],
@@ -397,14 +400,15 @@ class Benchmark(Experiment):
         for part in self.parts:
             if (part.set, part.entry.name) != (name, entry.name):
                 continue
-            best: dict[str, list[Figures]] = {of: [] for of in part.problems}
+            best: dict[str, list[Figures]] = {problem: [] for problem in part.problems}
             for played in read_episodes(part.run / METRICS):
-                own = best[played.problem]
+                so_far = best[played.problem]
                 # Two-pin tasks stand for nets here: a net is open if one of its tasks is.
                 found = Figures(played.tasks - played.joined, played.overflow, played.wirelength)
-                own.append(min(found, own[-1]) if own else found)
+                so_far.append(min(found, so_far[-1]) if so_far else found)
             curves += [
-                [tasks[of].score(own[min(i, len(own)) - 1]) for i in at] for of, own in best.items()
+                [tasks[problem].score(so_far[min(i, len(so_far)) - 1]) for i in at]
+                for problem, so_far in best.items()
             ]
         means = [interquartile_mean(column) for column in np.array(curves).T]
         return tuple((int(i), round(mean, 6)) for i, mean in zip(at, means, strict=True))
@@ -419,9 +423,9 @@ def validation_scores(run: Path, scenario: str) -> list[tuple[int, float]]:
         cost = found.cost(walk.wirelength, walk.tasks - walk.joined, walk.overflow)
         costs.setdefault(walk.agent_steps, []).append(cost)
     return [
-        (steps, found.score(sum(own) / least, "validation"))
-        for steps, own in costs.items()
-        if len(own) == len(problems)
+        (steps, found.score(sum(problem_costs) / least, "validation"))
+        for steps, problem_costs in costs.items()
+        if len(problem_costs) == len(problems)
     ]
 
 

@@ -231,8 +231,8 @@ class Training:
         raw = {} if self.config is None else read_yaml(self.config)
         raw = for_learner(raw, learner, self.config or where)
         quiet = {"train": {"figures": False, "tensorboard": False}}
-        told = {"env": self.env, "learner": self.learner, "train": self.train}
-        raw = merged(merged(raw, quiet), told)
+        given = {"env": self.env, "learner": self.learner, "train": self.train}
+        raw = merged(merged(raw, quiet), given)
         if isinstance(raw.get("env"), Mapping):  # the problems are the experiment's
             raw["env"] = {key: value for key, value in raw["env"].items() if key not in PLAYED}
         if self.scenario is not None:
@@ -330,9 +330,14 @@ class Entry:
     @property
     def plain(self) -> dict[str, Any]:
         """The entry as a configuration holds it."""
-        own = {"router": self.router, "only": self.only, "prune": self.prune, "label": self.label}
+        always = {
+            "router": self.router,
+            "only": self.only,
+            "prune": self.prune,
+            "label": self.label,
+        }
         more = {"version": self.version, "training_seconds": self.training_seconds}
-        return {**own, **{k: v for k, v in more.items() if v is not None}, **self.options}
+        return {**always, **{k: v for k, v in more.items() if v is not None}, **self.options}
 
     @property
     def allowed(self) -> str | None:

@@ -74,12 +74,12 @@ class Experiment:
         routers = raw.get("routers")
         if not isinstance(routers, Mapping):
             raise InputError(f"{self.folder}: holds a training: expected another out=")
-        mine = self.config.routers
+        asked = self.config.routers
         self._kept = dict(routers)
-        own = {name: entry for name, entry in routers.items() if name in mine} or mine
-        with allowing_code_of(mine):
-            check_code(own, str(kept))
-            raw = {**raw, "routers": own, "reference": None}
+        entries = {name: entry for name, entry in routers.items() if name in asked} or asked
+        with allowing_code_of(asked):
+            check_code(entries, str(kept))
+            raw = {**raw, "routers": entries, "reference": None}
             before = build(ExperimentConfig, raw, str(kept))
         theirs = self._rows_depend_on(before, before)
         try:
@@ -206,10 +206,10 @@ class Experiment:
         for entry in self.entries:
             if not entry.routes:
                 continue  # what others made is read again every time
-            own = [part for part in self.parts if part.entry.name == entry.name]
-            seeds = {part.seed: part for part in own}.values()
-            now = {name: of for part in seeds for name, of in part.digests().items()}
-            before = kept.get(entry.name, {}) if any(part.rows.exists() for part in own) else {}
+            parts = [part for part in self.parts if part.entry.name == entry.name]
+            seeds = {part.seed: part for part in parts}.values()
+            now = {name: digest for part in seeds for name, digest in part.digests().items()}
+            before = kept.get(entry.name, {}) if any(part.rows.exists() for part in parts) else {}
             for name in now.keys() & before.keys():
                 if now[name] != before[name]:
                     raise InputError(

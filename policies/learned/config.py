@@ -193,7 +193,9 @@ def config_of(raw: Mapping[str, Any], where: str = "") -> Config:
         suggested = {} if scenario is None else get(scenario).training
         _ = build(TrainOptions, {**DRAWN, **suggested}, f"{scenario}: training")
         filled = {f.name for f in fields(TrainOptions) if f.default is None}
-        given = {key: of for key, of in train.items() if of is not None or key not in filled}
+        given = {
+            key: value for key, value in train.items() if value is not None or key not in filled
+        }
         train = {**DRAWN, **suggested, **given}
         if train.get("steps") is not None and "episodes" not in given:
             train["episodes"] = MOST

@@ -67,11 +67,11 @@ def _walk_out(player: Player, layers: tuple[int, ...], weights: NDArray[np.float
     engine, observation = player.engine, player.observation
     assert isinstance(observation, OutlookObservation)
     games = len(engine.games)
-    of = np.arange(games) * len(weights) // games
+    network_of = np.arange(games) * len(weights) // games
     cold, keys = np.zeros(games, np.float32), np.zeros(games, np.uint64)
-    for row, own in enumerate(weights):
-        walker = Walker(engine, observation, layers, own, cold, keys, fallback_after=None)
-        walker.playing[:] = of == row
+    for row, row_weights in enumerate(weights):
+        walker = Walker(engine, observation, layers, row_weights, cold, keys, fallback_after=None)
+        walker.playing[:] = network_of == row
         walker.walk_out()
     player.buffers.active[:] = False
 

@@ -174,8 +174,8 @@ class Learner(PerNetworkState, abc.ABC):
         Args:
             weights: the ``state_dict`` of each of its L networks, of the same shapes.
         """
-        for row, of in enumerate(weights):
-            self.networks.take(row, of)
+        for row, state in enumerate(weights):
+            self.networks.take(row, state)
 
     def observe(self, player: Player, before: PreStep) -> None:
         """Takes in what came of the player's last step, whose moves a guide of the burn-in chose.

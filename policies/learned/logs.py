@@ -275,13 +275,13 @@ class Events:
             self._add_means(figures, min(episodes))
             self._walked.clear()
 
-    def _figures(self, prefix: str, of: Episode | GreedyEvaluation) -> dict[str, float]:
+    def _figures(self, prefix: str, played: Episode | GreedyEvaluation) -> dict[str, float]:
         """Open tasks, overflow, wirelength, and the gap where it is known."""
-        found = (of.tasks - of.joined, of.overflow, of.wirelength)
+        found = (played.tasks - played.joined, played.overflow, played.wirelength)
         names = (f"{prefix}_open", f"{prefix}_overflow", f"{prefix}_wirelength")
         values: dict[str, float] = dict(zip(names, found, strict=True))
-        if of.problem in self._reference:
-            above = gap(found, (0, *self._reference[of.problem]))
+        if played.problem in self._reference:
+            above = gap(found, (0, *self._reference[played.problem]))
             if above is not None:
                 values[f"{prefix}_gap"] = above
         return values

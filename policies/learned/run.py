@@ -281,8 +281,8 @@ class Run:
 
     def _state(self) -> dict[str, Any]:
         logged = {"logged": self._logged, "evaluated": self._evaluated}
-        told = {"figures": asdict(self.figures), "seconds": self._seconds}
-        return {**self.trainer.state(), **told, **logged}
+        taken = {"figures": asdict(self.figures), "seconds": self._seconds}
+        return {**self.trainer.state(), **taken, **logged}
 
     @property
     def figures(self) -> TrainingFigures:
@@ -302,10 +302,10 @@ class Run:
             return True
         if start is None:
             return False
-        told = None  # what the weights to start from learned from
+        teacher = None  # what the weights to start from learned from
         with contextlib.suppress(InputError), allowing_code_of(self.config):
-            told = TrainedPolicy.load(start, self.trainer.names[0]).training.get("teacher")
-        return told
+            teacher = TrainedPolicy.load(start, self.trainer.names[0]).training.get("teacher")
+        return teacher
 
     @property
     def updates(self) -> int:

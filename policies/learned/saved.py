@@ -99,7 +99,7 @@ class SavedNetworks:
         if config.train.start is None:
             return []
         path = SHIPPED if config.train.start == _SHIPPED else config.train.start
-        own = self._network()
+        network = self._network()
         weights: list[Mapping[str, Tensor]] = []
         for name in self._names:
             with allowing_code_of(config):
@@ -109,7 +109,7 @@ class SavedNetworks:
             check("train.start", found == expected, what)
             weights.append(policy.module.state_dict())
             try:
-                check_weights(weights[-1], own)
+                check_weights(weights[-1], network)
             except InputError as error:
                 raise InputError(f"train.start: {path}: {error}") from None
         return weights

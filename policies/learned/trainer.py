@@ -317,14 +317,14 @@ class Trainer:
     def _evaluate(self, problems: NDArray[np.int64]) -> None:
         """Has networks that are due play without exploration, and keeps the best of each."""
         train = self.config.train
-        of = np.arange(len(self.names)) * (not train.shared)  # the network of each problem
+        network_of = np.arange(len(self.names)) * (not train.shared)  # the network of each problem
         self.evaluations = []
         played = np.broadcast_to(self.episodes, len(self.names))
-        networks = np.unique(of[problems])
-        episodes = np.array([played[of == network].min() for network in networks], np.int64)
+        networks = np.unique(network_of[problems])
+        episodes = np.array([played[network_of == network].min() for network in networks], np.int64)
         before = self._evaluated[networks]
         trains = np.broadcast_to(self.running, len(self.names))
-        ended = np.array([not trains[of == network].any() for network in networks])
+        ended = np.array([not trains[network_of == network].any() for network in networks])
         due = (episodes >= before + train.evaluate_every) | ended
         # A training that ends by its steps or its time ends within an episode.
         due &= (episodes != before) | (ended & self.drawn)
@@ -333,7 +333,7 @@ class Trainer:
             return
         self._evaluated[networks] = episodes
         rows = np.zeros(1, np.int64) if train.shared else networks
-        shown = np.flatnonzero(np.isin(of, networks)).reshape(len(networks), -1)
+        shown = np.flatnonzero(np.isin(network_of, networks)).reshape(len(networks), -1)
         player = self._evaluator.part(shown.ravel())
         player.reset()
         self.learner.play_greedily(player, rows)
