@@ -55,7 +55,7 @@ def training_bar(
 
         def watch(
             episodes: "Sequence[Episode]",
-            walks: "Sequence[GreedyEvaluation]" = (),
+            evaluations: "Sequence[GreedyEvaluation]" = (),
             now: int | None = None,
         ) -> None:
             nonlocal done, told, shown, last
@@ -63,8 +63,8 @@ def training_bar(
             kept.update((episode.problem, episode) for episode in episodes if episode.best)
             if kept:
                 shown = _best(kept)
-            elif walks:
-                shown = str(Validation.of(map(asdict, walks), reference))
+            elif evaluations:
+                shown = str(Validation.of(map(asdict, evaluations), reference))
                 if not bar.console.is_terminal and time.monotonic() - told >= _OFTEN:
                     told = time.monotonic()
                     click.echo(f"{min(done, total)}/{total} {unit}: {shown}", err=True)

@@ -419,9 +419,11 @@ def validation_scores(run: Path, scenario: str) -> list[tuple[int, float]]:
     found = scenarios.get(scenario)
     problems, least = found.problems("validation"), found.reference_cost("validation")
     costs: dict[int, list[float]] = {}
-    for walk in read_evaluations(run / EVALUATIONS):
-        cost = found.cost(walk.wirelength, walk.tasks - walk.joined, walk.overflow)
-        costs.setdefault(walk.agent_steps, []).append(cost)
+    for evaluation in read_evaluations(run / EVALUATIONS):
+        cost = found.cost(
+            evaluation.wirelength, evaluation.tasks - evaluation.joined, evaluation.overflow
+        )
+        costs.setdefault(evaluation.agent_steps, []).append(cost)
     return [
         (steps, found.score(sum(problem_costs) / least, "validation"))
         for steps, problem_costs in costs.items()

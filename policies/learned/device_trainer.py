@@ -60,7 +60,7 @@ class DeviceTrainer:
         steps: (1,) int64, moves of agents that have been learned from.
         evaluations: the evaluations made since :meth:`run` last yielded.
         saved: the network that is saved.
-        backend: where it all happens, in words.
+        backend: what computes the training, in words.
 
     Raises:
         InputError: there is no device, or an option is not supported on it.

@@ -88,7 +88,7 @@ class Logs:
         self._wandb = None if wandb is None else _wandb_run(folder, wandb)
         self._events: Events | None = None
         with contextlib.ExitStack() as opened:
-            self._episodes, self._walks = (
+            self._episodes, self._evaluations = (
                 opened.enter_context(contextlib.closing(_Lines(folder / name, size)))
                 for name, size in zip((METRICS, EVALUATIONS), logged, strict=True)
             )
@@ -100,24 +100,26 @@ class Logs:
                 opened.callback(self._events.close)
                 for episode in read_episodes(folder / METRICS):
                     self._events.show(episode)
-                for walk in read_evaluations(folder / EVALUATIONS):
-                    self._events.show(walk)
+                for evaluation in read_evaluations(folder / EVALUATIONS):
+                    self._events.show(evaluation)
                 self._events.start_clock()
             self._opened = opened.pop_all()
 
-    def write(self, episodes: Sequence[Episode], walks: Sequence[GreedyEvaluation] = ()) -> None:
+    def write(
+        self, episodes: Sequence[Episode], evaluations: Sequence[GreedyEvaluation] = ()
+    ) -> None:
         """Logs finished episodes, and evaluations."""
         self._episodes.write(episodes)
-        self._walks.write(walks)
+        self._evaluations.write(evaluations)
         if self._events is not None:
-            lines: list[Episode | GreedyEvaluation] = [*episodes, *walks]
+            lines: list[Episode | GreedyEvaluation] = [*episodes, *evaluations]
             for line in lines:
                 self._events.show(line)
             self._events.show_speed(_SECONDS)
 
     def flush(self) -> tuple[int, int]:
         """Puts everything on disk; returns the bytes of both files."""
-        sizes = self._episodes.flush(), self._walks.flush()
+        sizes = self._episodes.flush(), self._evaluations.flush()
         if self._events is not None:
             self._events.show_speed(0)
             self._events.flush()
@@ -223,7 +225,7 @@ class Events:
         self._best: dict[str, Episode] = {}
         # What waits for the other problems: by episode, and the latest evaluation of each problem.
         self._waiting: dict[int, list[dict[str, float]]] = defaultdict(list)
-        self._walked: dict[str, tuple[int, dict[str, float]]] = {}
+        self._evaluated: dict[str, tuple[int, dict[str, float]]] = {}
         self._moves = 0
         self.start_clock()
 
@@ -247,7 +249,7 @@ class Events:
             if isinstance(line, Episode):
                 self._show_episode(line)
             else:
-                self._show_walk(line)
+                self._show_evaluation(line)
 
     def _show_episode(self, episode: Episode) -> None:
         name = episode.problem
@@ -266,14 +268,14 @@ class Events:
         if len(waiting) == len(self._problems):
             self._add_means(self._waiting.pop(episode.episode), episode.episode)
 
-    def _show_walk(self, walk: GreedyEvaluation) -> None:
-        values = self._figures("greedy", walk)
-        self._add(values, walk.problem, walk.episodes)
-        self._walked[walk.problem] = walk.episodes, values
-        if len(self._walked) == len(self._problems):
-            episodes, figures = zip(*self._walked.values(), strict=True)
+    def _show_evaluation(self, evaluation: GreedyEvaluation) -> None:
+        values = self._figures("greedy", evaluation)
+        self._add(values, evaluation.problem, evaluation.episodes)
+        self._evaluated[evaluation.problem] = evaluation.episodes, values
+        if len(self._evaluated) == len(self._problems):
+            episodes, figures = zip(*self._evaluated.values(), strict=True)
             self._add_means(figures, min(episodes))
-            self._walked.clear()
+            self._evaluated.clear()
 
     def _figures(self, prefix: str, played: Episode | GreedyEvaluation) -> dict[str, float]:
         """Open tasks, overflow, wirelength, and the gap where it is known."""

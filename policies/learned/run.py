@@ -460,12 +460,12 @@ class Run:
             seconds = time.perf_counter() - start
             policy = self.trainer.policy_of(name)
             start = time.perf_counter()
-            walked = policy.solve(problem)
-            # What a network has not been trained on costs no more than the walk.
-            walk = each if best else time.perf_counter() - start
+            found = policy.solve(problem)
+            # A network that was not trained on the problem costs no more than its moves.
+            spent = each if best else time.perf_counter() - start
             routes: list[tuple[str, Solution, float, str | None]] = [
                 ("astar", astar, seconds, None),
-                (f"{learner}_policy", walked.solution, walk, walked.report["from"]),
+                (f"{learner}_policy", found.solution, spent, found.report["from"]),
             ]
             if name in best:
                 routes.insert(1, (learner, best[name], each, self.trainer.origin(name)))

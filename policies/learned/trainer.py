@@ -83,7 +83,7 @@ class Trainer:
             ended. Empty where games draw their problems, as are the next two.
         best_episode: (M,) int64, which episode that was, from 0, or NOBODY.
         best: its routes, or None.
-        backend: how the learner is computed, in words.
+        backend: what computes the learner, in words.
         evaluations: the evaluations made since :meth:`run` last yielded.
         saved: the networks that are saved.
 
