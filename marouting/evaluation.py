@@ -212,9 +212,9 @@ def check_rules(game: Rules, scenario: str) -> None:
 
 def _of_the_game(rules: Rules) -> dict[str, Any]:
     """Rules that a policy cannot choose, as plain data."""
-    told = {field.name: plain(getattr(rules, field.name)) for field in fields(Rules)}
-    told["mask"] = {"visited": rules.mask.visited}  # its other keys are of interfaces
-    return {name: value for name, value in told.items() if name not in _CHOICES}
+    options = {field.name: plain(getattr(rules, field.name)) for field in fields(Rules)}
+    options["mask"] = {"visited": rules.mask.visited}  # its other keys are of interfaces
+    return {name: value for name, value in options.items() if name not in _CHOICES}
 
 
 def result_of(engine: Engine, scenario: str, split: Split = "test") -> PolicyResult:

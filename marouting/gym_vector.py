@@ -155,29 +155,31 @@ class GlobalRoutingVector(VectorEnv[Any, Any, Any]):
         everywhere = np.ones(self.num_envs, np.bool_)
         seen, infos = self._seen(obs, batch, everywhere)
         ended = np.flatnonzero(batch["task_ended"][:, 0]).tolist()
-        told = {m: self._task_end(batch, m) for m in ended}
+        task_ends = {m: self._task_end(batch, m) for m in ended}
         joined = np.zeros(self.num_envs, np.bool_)
         for m in np.flatnonzero(over).tolist():
             result = result_of(vars(self._batch.engine.metrics(m)))
             joined[m] = result["open"] == 0
-            told.setdefault(m, {}).update(result)
+            task_ends.setdefault(m, {}).update(result)
         if self._mode is AutoresetMode.SAME_STEP and over.any():
             for m in np.flatnonzero(over).tolist():
-                last = {name: infos[name][m] for name in (self._mask.mask_key, "net")} | told[m]
+                last = {name: infos[name][m] for name in (self._mask.mask_key, "net")} | task_ends[
+                    m
+                ]
                 obs_ = {k: v[m] for k, v in seen.items()} if isinstance(seen, dict) else seen[m]
-                told[m] = {"final_obs": obs_, "final_info": last}
+                task_ends[m] = {"final_obs": obs_, "final_info": last}
             obs, batch = self._batch.reset(options={"reset_mask": over})
             begun, self._over = over, batch["over"].copy()
             seen, infos = self._seen(obs, batch, everywhere)
         infos = self._named(infos, batch, begun)
-        for m, info in told.items():
+        for m, info in task_ends.items():
             infos = self._add_info(infos, info, m)
         return seen, paid, over & joined, over & ~joined, infos
 
     def _seen(
-        self, obs: NDArray[np.float32], batch: Info, told: NDArray[np.bool_]
+        self, obs: NDArray[np.float32], batch: Info, with_info: NDArray[np.bool_]
     ) -> tuple[Any, Info]:
-        """What nets see that are to move, or moved last where games are over; infos where told."""
+        """What nets see that are to move, or moved last where games are over; some with infos."""
         now, mask, seen = batch["agents"][:, 0], batch["action_mask"][:, 0].copy(), obs[:, 0].copy()
         self._movers = np.where(now == NOBODY, self._movers, now)
         if self._over.any():  # nobody is to move: shown is the net that moved last
@@ -189,13 +191,18 @@ class GlobalRoutingVector(VectorEnv[Any, Any, Any]):
         if self._mask.in_observation:
             keys = self._mask.observation_key, self._mask.mask_key
             shown = dict(zip(keys, (seen, mask.copy()), strict=True))
-        if not told.any():
+        if not with_info.any():
             return shown, {}
         nets = self._batch.engine.nets[self._games, self._movers]
         names = np.array([f"net_{net}" for net in nets.tolist()], object)
-        mask[~told], names[~told] = 0, None
+        mask[~with_info], names[~with_info] = 0, None
         key = self._mask.mask_key
-        return shown, {key: mask, f"_{key}": told.copy(), "net": names, "_net": told.copy()}
+        return shown, {
+            key: mask,
+            f"_{key}": with_info.copy(),
+            "net": names,
+            "_net": with_info.copy(),
+        }
 
     def _task_end(self, batch: Info, m: int) -> Info:
         """What the info of a game says of the task that has ended with the move."""

@@ -61,7 +61,9 @@ REMOVED = {
 """Keys that version 0.3 removed without a replacement, and what they were for."""
 
 
-def unknown_key(key: str, known: Sequence[str], of: str = "", also: Sequence[str] = ()) -> str:
+def unknown_key(
+    key: str, known: Sequence[str], component: str = "", also: Sequence[str] = ()
+) -> str:
     """The message about a key that is not one of those known, perhaps of a component.
 
     ``also`` are other keys that may have been meant.
@@ -75,6 +77,6 @@ def unknown_key(key: str, known: Sequence[str], of: str = "", also: Sequence[str
     close = difflib.get_close_matches(name, [*known, *also], n=1, cutoff=0.5)
     # What follows must not lie in the middle of a long message, which is left out.
     listed = textwrap.shorten(", ".join(known), _LISTED, placeholder=" …")
-    listed = (f"one of {listed}" if known else "none") + (f" for {of}" if of else "")
+    listed = (f"one of {listed}" if known else "none") + (f" for {component}" if component else "")
     expected = f"did you mean {close[0]}?" if close else f"expected {listed}"
     return f"{key}: unknown key; {expected}"

@@ -74,7 +74,7 @@ class Player:
         everyone: whether all agents have a row, or only the one whose turn it is.
         buffers: the arrays to use; None: new ones.
         draws: draws the problem of every episode; None: problems are fixed.
-        turned: whether actions and masks are in the observation's own order of moves, as for
+        reorder_moves: whether actions and masks are in the observation's own order of moves, as for
             learners (:func:`marouting.observations.move_order_of`).
 
     Attributes:
@@ -91,7 +91,7 @@ class Player:
         everyone: bool = True,
         buffers: StepBuffers | None = None,
         draws: ProblemSampler | None = None,
-        turned: bool = False,
+        reorder_moves: bool = False,
     ) -> None:
         for name, component in (("observation", observation), ("reward", reward)):
             columns, plain = FORMS[name][:2]
@@ -102,7 +102,7 @@ class Player:
                 found = f"found an inherited one in {cls}, beside its own {plain}"
             check(name, fits, f"{what}, {found}")
         self.engine, self.observation, self.reward = engine, observation, reward
-        self.turned = turned and has_move_order(observation)
+        self.reorders_moves = reorder_moves and has_move_order(observation)
         # Those of the package write every number.
         self._clears = not is_ours(type(observation).__module__)
         self.everyone, self.draws = everyone, draws
@@ -173,7 +173,7 @@ class Player:
         on_turn = np.full(len(over), NOBODY, np.int32)
         self._settle(*self._arguments, which, on_turn, NOT)
         self._look(which)
-        self._turn_masks()
+        self._reorder_masks()
 
     def step(self, restart: bool = False) -> None:
         """Makes the moves in ``buffers.actions``, in turn order, and fills the other arrays.
@@ -186,13 +186,13 @@ class Player:
             if restart:
                 self._draw(self.buffers.over)
             self._step(*self._arguments, True, restart)
-        elif self.turned:
+        elif self.reorders_moves:
             chosen = self.buffers.actions.copy()
             self.played = _picked(self._order(), chosen)
             self.buffers.actions[:] = self.played
             self._step_in_parts(restart)
             self.buffers.actions[:] = chosen  # learners remember what they chose
-            self._turn_masks()
+            self._reorder_masks()
         else:
             self._step_in_parts(restart)
 
@@ -255,7 +255,7 @@ class Player:
 
     def actions_of(self, moves: NDArray[np.integer]) -> NDArray[np.int16]:
         """The actions for ``buffers.actions`` that stand for moves on the grid, both (M, K)."""
-        if not self.turned:
+        if not self.reorders_moves:
             return moves.astype(np.int16)
         return _picked(np.argsort(self._order(), axis=-1), moves)  # the other way round
 
@@ -270,9 +270,9 @@ class Player:
         rules = self.engine.rules
         return move_order_of(self.observation, obs, rules.actions, rules.messages)
 
-    def _turn_masks(self) -> None:
+    def _reorder_masks(self) -> None:
         """Puts masks that have just been written for all rows in the order of the observation."""
-        if self.turned:
+        if self.reorders_moves:
             self.buffers.mask[:] = np.take_along_axis(self.buffers.mask, self._order(), -1)
 
     # --- problems that change -----------------------------------------------------------------
@@ -394,7 +394,7 @@ class Player:
         self._see(problems, agents, out)
         b.final_obs.reshape(-1, *b.obs.shape[2:])[rows] = out
         masks = engine.masks(problems, agents)
-        if self.turned:
+        if self.reorders_moves:
             masks = np.take_along_axis(masks, self._order_of(out), -1)
         b.final_mask.reshape(-1, engine.actions)[rows] = masks
         if self._before is not None:

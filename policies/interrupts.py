@@ -73,7 +73,7 @@ def interruptible() -> Iterator[None]:
     The one of :mod:`marouting.first` is ours.
     """
     global _work
-    before, told = signal.getsignal(signal.SIGINT), sys.unraisablehook
+    before, hook = signal.getsignal(signal.SIGINT), sys.unraisablehook
     ours = threading.current_thread() is threading.main_thread()  # signals are not for others
     if not ours or before not in (signal.default_int_handler, leave):
         yield
@@ -81,7 +81,7 @@ def interruptible() -> Iterator[None]:
 
     def tell(lost: "sys.UnraisableHookArgs") -> None:
         if not issubclass(lost.exc_type, Interrupt):  # which comes again
-            told(lost)
+            hook(lost)
 
     _work = work = _Work()
     sys.unraisablehook = tell
@@ -91,7 +91,7 @@ def interruptible() -> Iterator[None]:
     finally:
         work.ended = True
         signal.signal(signal.SIGINT, before)
-        sys.unraisablehook = told
+        sys.unraisablehook = hook
         _work = None
 
 

@@ -52,7 +52,7 @@ def players(everyone: bool, **options: Any) -> list[Player]:
             observation,
             checked.reward.make(),
             everyone=everyone,
-            turned=turned,
+            reorder_moves=turned,
         )
         for turned in (False, True)
     ]
@@ -111,7 +111,7 @@ def test_turned_moves_are_those_of_the_grid_in_another_order(
 def test_the_papers_observation_is_not_turned() -> None:
     for player in players(True, observation="paper"):
         assert player.compiled
-        assert not player.turned
+        assert not player.reorders_moves
 
 
 def test_a_guide_leads_a_turned_player_where_it_leads_any_other() -> None:

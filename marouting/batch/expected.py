@@ -63,11 +63,11 @@ def maps_of(engine: Engine) -> Maps:
         check_memory(EXPECTED * m * grid.gcells, "expected demand of {} grids of {}", m, grid)
         maps = new_maps(m, grid.gcells, grid.shape[VIA_AXIS])
         found = _maps[engine] = maps, np.full(m, NOBODY, np.int64)
-    maps, of = found
-    if (of != engine.replaced).any():
-        for m in np.flatnonzero(of != engine.replaced).tolist():
+    maps, replaced = found
+    if (replaced != engine.replaced).any():
+        for m in np.flatnonzero(replaced != engine.replaced).tolist():
             _begin_maps(engine.static, maps, m)
-        of[:] = engine.replaced
+        replaced[:] = engine.replaced
     return maps
 
 

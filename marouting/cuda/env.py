@@ -213,7 +213,7 @@ class CudaBatchEnv(BatchEnv):
         self._refused = device.zeros((1,), np.int32)
         self._states: Any = None
         b, column = self._buffers, device.column
-        self._told: Info = {
+        self._infos: Info = {
             **info_of(b, partial(column, self._dynamic.games), partial(column, b.final)),
             **({"problem": self._pool.number} if drawn else {}),
         }
@@ -258,7 +258,7 @@ class CudaBatchEnv(BatchEnv):
         self._passed.which.copy_to_device(which)
         self._play(steps=False, restarts=True)
         self._begun = True
-        return self._buffers.obs, dict(self._told)
+        return self._buffers.obs, dict(self._infos)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, Info]:
         """See :meth:`marouting.vector.BatchEnv.step`; what it returns is on the device.
@@ -278,7 +278,7 @@ class CudaBatchEnv(BatchEnv):
             self._take(actions)
         self._play(steps=True, restarts=self.autoreset)
         b = self._buffers
-        return b.obs, b.reward, b.terminated, b.truncated, dict(self._told)
+        return b.obs, b.reward, b.terminated, b.truncated, dict(self._infos)
 
     def _take(self, actions: Any) -> None:
         """Takes actions from another array."""

@@ -85,8 +85,8 @@ class GlobalRoutingAEC(NetEnv, AECEnv):
             agent = self.agent_selection
             if not self._persists and agent in self.infos:
                 # Others may have taken capacity since this info was made.
-                told = self._ended.get(agent, {})
-                self.infos[agent] = {self._mask_key: self._mask(self._number[agent])} | told
+                info = self._ended.get(agent, {})
+                self.infos[agent] = {self._mask_key: self._mask(self._number[agent])} | info
             return
         game, n = self.game, self._number[agent]
         move = checked_move(action, self._actions)
@@ -117,9 +117,9 @@ class GlobalRoutingAEC(NetEnv, AECEnv):
         else:
             self.terminations[agent] = status == Status.TERMINATED
             self.truncations[agent] = status == Status.TRUNCATED
-            told = result_of(self.game.metrics()) if following == NOBODY else {}
-            told |= self._ended.get(agent, {})
-            self.infos[agent] = {self._mask_key: self._mask(n)} | told
+            info = result_of(self.game.metrics()) if following == NOBODY else {}
+            info |= self._ended.get(agent, {})
+            self.infos[agent] = {self._mask_key: self._mask(n)} | info
             # The agent is selected once more, to be removed from the list, before the next one is.
             self._skip_agent_selection = None if following == NOBODY else self._names[following]
         if self.render_mode == "human":

@@ -99,8 +99,8 @@ class GlobalRoutingParallel(NetEnv, ParallelEnv):
             raise ValueError(what) from None
         rewards, ended = self._move_all(dict(zip(numbers, moves, strict=True)))
         observations, infos = self._look(first=False)
-        for n, told in ended.items():
-            infos[self._names[n]] |= told
+        for n, task_end in ended.items():
+            infos[self._names[n]] |= task_end
         status = [WAITING if n == NOBODY else game.status[n] for n in numbers]
         over = not game.active
         if self._persists:  # all end together

@@ -120,9 +120,9 @@ class Scenario:
         text = isinstance(description, str)
         check("description", text, f"a text, found {description!r}")
         functions = {"generator": generator, "accept": accept, "largest": largest}
-        for key, of in functions.items():
-            fits = callable(of) or (of is None and key != "generator")
-            check(key, fits, f"a function, found {of!r}")
+        for key, function in functions.items():
+            fits = callable(function) or (function is None and key != "generator")
+            check(key, fits, f"a function, found {function!r}")
         path = references is None or isinstance(references, str | os.PathLike)
         check("references", path, f"a path, found {references!r}")
         self.name, self.generator, self.description = name, generator, description
@@ -205,7 +205,9 @@ class Scenario:
             InputError: some have one, but not all.
         """
         known = references_in(self.references).references
-        lacks = [name for name, of in self.problems(split).items() if digest(of) not in known]
+        lacks = [
+            name for name, problem in self.problems(split).items() if digest(problem) not in known
+        ]
         what = f"those of all problems, or none, found none of {len(lacks)} of {split}"
         check(f"{self.name}: references", not known or not lacks, what)
         return bool(known)
@@ -286,7 +288,7 @@ class Scenario:
                 problem = self._draw(f"{split}/{number}", known, self._accepts)
                 known.add(self._digest(problem))
                 fixed[split][f"{split}_{number:03d}"] = problem
-        grids = {problem.grid for of in fixed.values() for problem in of.values()}
+        grids = {problem.grid for problems in fixed.values() for problem in problems.values()}
         if len(grids) > 1:
             shapes = " and ".join(str(grid) for grid in sorted(grids)[:2])
             raise InputError(f"{self.name}: expected problems with one grid shape, found {shapes}")
@@ -330,7 +332,9 @@ class Scenario:
         """The problem; raises InputError if ``largest`` was given and the problem is larger."""
         if self._largest is not None:
             fits = problem.grid == self.grid and (_size(problem) <= self._most).all()
-            largest, found = ((of.grid, *_size(of).tolist()) for of in (self.bounds[0], problem))
+            largest, found = (
+                (each.grid, *_size(each).tolist()) for each in (self.bounds[0], problem)
+            )
             what = f"a grid, nets, pins and tracks as in all draws, found {largest} and {found}"
             check(f"{self.name}: largest", fits, what)
         return problem

@@ -137,20 +137,20 @@ def compare(
         return value[number, turned] if rows else value
 
     obs, info = host.reset()
-    found, told = other.reset()
+    found, other_info = other.reset()
     for step in range(steps):
-        agents, known = on_host(told["agents"]), by_row(info["agents"])
+        agents, known = on_host(other_info["agents"]), by_row(info["agents"])
         if not np.array_equal(known, np.where(agents < 0, agents, order[number, agents])):
             return f"step {step}: agents"
         seen = {**by_row({"obs": obs, **info}), "agents": agents}
-        differs = difference(seen, {"obs": found, **told})
+        differs = difference(seen, {"obs": found, **other_info})
         if differs is not None:
             return f"step {step}: {differs}"
         mask = info["action_mask"]
         moves = (mask * rng.random(mask.shape)).argmax(-1)
         moves[rng.random(moves.shape) < 0.05] = -1
         obs, *flags, info = host.step(moves)
-        found, *others, told = other.step(by_row(moves).astype(np.int32))
+        found, *others, other_info = other.step(by_row(moves).astype(np.int32))
         names = "reward", "terminated", "truncated"
         differs = difference(
             by_row(dict(zip(names, flags, strict=True))), dict(zip(names, others, strict=True))
@@ -339,12 +339,12 @@ def learning(learner: str, games: int, seconds: float, steps: int) -> Iterator[d
     moves, rollouts, begin = 0, 0, time.perf_counter()
     first = (0, begin)
     while time.perf_counter() - begin < seconds:
-        told = trained.iterate()
-        moves, rollouts, now = moves + told.steps, rollouts + 1, time.perf_counter()
+        progress = trained.iterate()
+        moves, rollouts, now = moves + progress.steps, rollouts + 1, time.perf_counter()
         if rollouts == 2:  # all is compiled
             first = moves, now
         if rollouts > 1 and rollouts & (rollouts - 1) == 0:
-            yield {**what, "agent_steps": moves, "seconds": now - begin, "joined": told.joined}
+            yield {**what, "agent_steps": moves, "seconds": now - begin, "joined": progress.joined}
     rate = (moves - first[0]) / max(now - first[1], 1e-9)
     result = marouting.evaluate_policy(trained, SCENARIO, "test")
     yield {

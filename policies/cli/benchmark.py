@@ -184,7 +184,7 @@ def benchmark(
         if scenario not in (*scenarios.names(), "all"):
             raise unknown("--scenario", scenario, (*scenarios.names(), "all"))
     chosen = scenarios.names() if "all" in names else list(dict.fromkeys(names))
-    scored = [of for of in chosen if scenarios.get(of).has_local_rule(cast(Split, split))]
+    scored = [one for one in chosen if scenarios.get(one).has_local_rule(cast(Split, split))]
     alone = scored[0] if len(chosen) == 1 and scored else None
     if not routers and config is None:
         config = RULES if scored == chosen else BASELINES
@@ -204,9 +204,9 @@ def benchmark(
         own_name = None if name is None or NAME in name else name
         entries.append(from_text(f"{text}{more}", own_name, given, alone))
     if name is not None and NAME in name:
-        told = f" --name {shlex.quote(name)}"
+        option = f" --name {shlex.quote(name)}"
         entries = [
-            replace(e, name=name.replace(NAME, e.name), source=e.source + told) for e in entries
+            replace(e, name=name.replace(NAME, e.name), source=e.source + option) for e in entries
         ]
     trained = any(entry.zero_shot for entry in entries)
     if out is None:  # a folder holds one router of a name, and this one is for one scenario
@@ -214,8 +214,8 @@ def benchmark(
     for key, most in bounds.items():
         what = f"a learner to train, and one scenario with {RULE_COST}"
         check(f"--training-{key}", trained, what)
-        told = f" --training-{key} {most}"
-        entries = [replace(e, source=e.source + told * bool(e.zero_shot)) for e in entries]
+        option = f" --training-{key} {most}"
+        entries = [replace(e, source=e.source + option * bool(e.zero_shot)) for e in entries]
     run = Benchmark(
         chosen,
         entries,
@@ -226,10 +226,10 @@ def benchmark(
         engine=settings.engine,
         train={**settings.train, **bounds},
     )
-    for of in chosen:
-        if not scenarios.get(of).has_references(cast(Split, split)):
-            told = "no score and no gap without references; docs/scenarios.md says how to get them"
-            click.echo(f"{of}: {told}", err=True)
+    for scenario in chosen:
+        if not scenarios.get(scenario).has_references(cast(Split, split)):
+            lacks = "no score and no gap without references; docs/scenarios.md says how to get them"
+            click.echo(f"{scenario}: {lacks}", err=True)
     with problems_bar("benchmark") as watch:
         files = run.execute(watch)["files"]
     summaries = [summarise(read_result(path)) for path in files]

@@ -44,16 +44,16 @@ def options_of(schema: Any, but: Collection[str] = ()) -> Callable[[Any], Any]:
     def add(command: Any) -> Any:
         for own in reversed(fields(schema)):
             if own.name not in but:
-                told = about[own.name].replace("`", "")
+                text = about[own.name].replace("`", "")
                 if own.default is None:
-                    told = told.replace(". None: ", ". Without it, ")
-                    told = told.replace("None: ", "without it, ")
+                    text = text.replace(". None: ", ". Without it, ")
+                    text = text.replace("None: ", "without it, ")
                 command = click.option(
                     f"--{own.name.replace('_', '-')}",
                     type=_type_of(hints[own.name]),
                     default=own.default,
                     show_default=own.default is not None,
-                    help=told.partition("; None:")[0],
+                    help=text.partition("; None:")[0],
                 )(command)
         return command
 

@@ -46,7 +46,7 @@ def training_bar(
     """
     from policies.results.validation import Validation
 
-    told = time.monotonic()
+    last_line = time.monotonic()
     with _bar(unit) as (bar, task):
         kept = {episode.problem: episode for episode in best}
         shown = _best(kept) if kept else ""
@@ -58,15 +58,15 @@ def training_bar(
             evaluations: "Sequence[GreedyEvaluation]" = (),
             now: int | None = None,
         ) -> None:
-            nonlocal done, told, shown, last
+            nonlocal done, last_line, shown, last
             done = done + len(episodes) if now is None else now
             kept.update((episode.problem, episode) for episode in episodes if episode.best)
             if kept:
                 shown = _best(kept)
             elif evaluations:
                 shown = str(Validation.of(map(asdict, evaluations), reference))
-                if not bar.console.is_terminal and time.monotonic() - told >= _OFTEN:
-                    told = time.monotonic()
+                if not bar.console.is_terminal and time.monotonic() - last_line >= _OFTEN:
+                    last_line = time.monotonic()
                     click.echo(f"{min(done, total)}/{total} {unit}: {shown}", err=True)
             if episodes:
                 last = f"last reward {episodes[-1].reward:.0f}"
@@ -80,13 +80,13 @@ def training_bar(
 
 def _best(kept: "Mapping[str, Episode]") -> str:
     """The best episodes of all problems, in sum; of a single problem, with which episode it was."""
-    of = list(kept.values())
+    episodes = list(kept.values())
     joined, tasks, overflow, wirelength = (
-        sum(getattr(episode, name) for episode in of)
+        sum(getattr(episode, name) for episode in episodes)
         for name in ("joined", "tasks", "overflow", "wirelength")
     )
-    where = of[0].problem if len(of) == 1 else f"{len(of)} problems"
-    which = f" in episode {of[0].episode + 1}" if len(of) == 1 else ""
+    where = episodes[0].problem if len(episodes) == 1 else f"{len(episodes)} problems"
+    which = f" in episode {episodes[0].episode + 1}" if len(episodes) == 1 else ""
     return f"best of {where}: joined {joined}/{tasks}, OF {overflow}, WL {wirelength}{which}"
 
 

@@ -161,10 +161,10 @@ def show_benchmark(summaries: Sequence[Mapping[str, Any]]) -> None:
         cells = leaderboard.policy_cells if of_policies else leaderboard.cells_of
         columns |= zip(headings, map(list, zip(*map(cells, rows), strict=True)), strict=True)
         problems, seeds = rows[0]["problems"], max(row["seeds"] for row in rows)
-        of = f"{problems} {rows[0]['split']} problems"
+        title = f"{problems} {rows[0]['split']} problems"
         if seeds > 1:
-            of += f", up to {seeds} seeds"
-        _print(f"{scenario}: {of}", columns, ["router"])
+            title += f", up to {seeds} seeds"
+        _print(f"{scenario}: {title}", columns, ["router"])
     for notes, of_policies, page in (
         (leaderboard.PLANNER_NOTES, False, "scenarios"),
         (leaderboard.POLICY_NOTES, True, "cooperation"),

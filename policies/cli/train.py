@@ -71,11 +71,11 @@ def train(
             standing = []
             click.echo(f"not scored on {settings.env.scenario}: {error}", err=True)
         if as_json:
-            told = {"out": run.folder, "episodes": run.episodes[0], "rows": rows}
+            summary = {"out": run.folder, "episodes": run.episodes[0], "rows": rows}
             splits: dict[str, Any] = {r.split: r.as_dict(rows=False) for r in standing}
             if standing:
-                told |= {**asdict(run.figures), "parameters": run.parameters}
-            click.echo(as_text({**told, **splits}))
+                summary |= {**asdict(run.figures), "parameters": run.parameters}
+            click.echo(as_text({**summary, **splits}))
             return
         if len(run.problems) > FEW:
             show_training(run, rows)

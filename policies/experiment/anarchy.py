@@ -118,13 +118,13 @@ def measure(
     scenario: Scenario,
     split: scenarios.Split,
     rule: LocalRouter,
-    of: Sequence[Problem] | None = None,
+    played: Sequence[Problem] | None = None,
 ) -> Row:
-    """What a rule costs on a split of a scenario, or on ``of`` in place of its problems."""
+    """What a rule costs on a split of a scenario, or on ``played`` in place of its problems."""
     problems = list(scenario.problems(split).values())
     reference = scenario.reference_cost(split)
     began = time.process_time()
-    engine = rule.play(problems if of is None else of, rules_of(scenario.name))
+    engine = rule.play(problems if played is None else played, rules_of(scenario.name))
     seconds = time.process_time() - began
     found = [engine.metrics(m) for m in range(len(problems))]
     open_tasks = [metrics.tasks - metrics.joined for metrics in found]
@@ -138,7 +138,7 @@ def measure(
         price=rule.price,
         seen=rule.seen,
         problems=len(problems),
-        solved=sum(not (left or of.overflow) for left, of in zip(open_tasks, found, strict=True)),
+        solved=sum(not (m.tasks > m.joined or m.overflow) for m in found),
         open=sum(open_tasks),
         wirelength=wirelength,
         reference=reference,

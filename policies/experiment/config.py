@@ -104,8 +104,8 @@ class ExperimentConfig:
         if self.train:
             trained = [entry.name for entry in entries if entry.trains]
             check("train", trained, "none: no router of this experiment is trained")
-            told = {"train": self.train}
-            kept |= {name: merged(kept[name], told) for name in trained}
+            training = {"train": self.train}
+            kept |= {name: merged(kept[name], training) for name in trained}
             entries = [Entry.of(name, raw) for name, raw in kept.items()]
             object.__setattr__(self, "train", {})
         object.__setattr__(self, "routers", {entry.name: entry.plain for entry in entries})
@@ -221,8 +221,8 @@ class Training:
         check("stack", self.stack >= 1, "a number from 1")
         for name in PLAYED:
             check(f"env.{name}", name not in self.env, "none: the experiment has its sets")
-        told = self.config or self.scenario or self.env or self.learner or self.train
-        check("checkpoint", not (self.checkpoint and told), "no keys of a training beside it")
+        keys = self.config or self.scenario or self.env or self.learner or self.train
+        check("checkpoint", not (self.checkpoint and keys), "no keys of a training beside it")
 
     def resolved(self, learner: str, where: str) -> dict[str, Any]:
         """The same options of a learner with every key of the training filled in."""

@@ -277,7 +277,7 @@ def cells_of(row: Mapping[str, Any]) -> list[str]:
         at_reference = f"{row['at_reference']:.0f}"
     if row["open"] is not None:
         opened = f"{row['open']:.4g}"
-        record = "/".join(f"{row[of]:.3g}" for of in ("wins", "ties", "losses"))
+        record = "/".join(f"{row[outcome]:.3g}" for outcome in ("wins", "ties", "losses"))
     return [score, opened, overflow, gap, at_reference, record, seconds]
 
 
@@ -300,7 +300,7 @@ POLICY_COLUMNS = (
 def policy_cells(row: Mapping[str, Any]) -> list[str]:
     """The figures of a summary of a policy in words, in the order of :data:`POLICY_COLUMNS`."""
 
-    def told(key: str, form: str, factor: float = 1) -> str:
+    def figure(key: str, form: str, factor: float = 1) -> str:
         return "?" if row[key] is None else format(factor * row[key], form).replace(",", " ")
 
     score, interval = row["score"], ""
@@ -308,14 +308,14 @@ def policy_cells(row: Mapping[str, Any]) -> list[str]:
         interval = f" [{score['low']:.3f}, {score['high']:.3f}]"
     return [
         "?" if score is None else f"{round(score['mean'], 3) + 0:.3f}{interval}",
-        told("cost", ".4f"),
-        told("solved", ".1f", 100),
-        told("connected", ".1f", 100),
-        told("gap", ".2f"),
+        figure("cost", ".4f"),
+        figure("solved", ".1f", 100),
+        figure("connected", ".1f", 100),
+        figure("gap", ".2f"),
         row["sight"],
         "?" if row["teacher"] is None else "yes" if row["teacher"] else "no",
-        told("parameters", ",d"),
-        told("agent_steps", ",d"),
+        figure("parameters", ",d"),
+        figure("agent_steps", ",d"),
         _duration(row["training_seconds"]),
         str(row["seeds"]),
     ]

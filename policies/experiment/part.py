@@ -174,7 +174,7 @@ class Part:
         known = self.set, self.set.removesuffix(".validation")
         rows = []
         for name in self.problems:
-            key = next(((of, name) for of in known if (of, name) in found), None)
+            key = next(((problem, name) for problem in known if (problem, name) in found), None)
             if key is None:
                 raise InputError(f"{published.file}: expected a row for {known[-1]},{name}")
             overflow, wirelength = found[key]

@@ -103,13 +103,13 @@ def play(
     sight = WHOLE if radius is None else f"radius {radius}"
     if game.message_bits:
         sight += f", {game.message_bits} bit{'s' * (game.message_bits > 1)}"
-    told = build(TrainingFigures, getattr(policy, "training", None) or {}, "training")
+    training = build(TrainingFigures, getattr(policy, "training", None) or {}, "training")
     about = {
         "sight": sight,
-        "teacher": told.teacher,
+        "teacher": training.teacher,
         "parameters": getattr(policy, "parameters", None),
-        "agent_steps": told.agent_steps,
-        "training_seconds": told.processor_seconds,
+        "agent_steps": training.agent_steps,
+        "training_seconds": training.processor_seconds,
     }
     return env.engine, build(About, about)
 

@@ -102,13 +102,13 @@ def solve_scenario(name: str, effort: Effort, *, again: bool = False) -> Iterato
     kept = read_references(path)
     known = kept.references
     problems = {**scenario.problems("validation"), **scenario.problems("test")}
-    places = {scenarios.digest(problem): (of, problem) for of, problem in problems.items()}
+    places = {scenarios.digest(item[1]): item for item in problems.items()}
     known = {digest: known[digest] for digest in places if digest in known}
-    for digest, (of, problem) in places.items():
+    for digest, (problem_name, problem) in places.items():
         before = known.get(digest)
         if before is not None and (before.proven or not again):
             continue
-        known[digest] = solve(problem, of, effort, before)
+        known[digest] = solve(problem, problem_name, effort, before)
         in_order = {d: asdict(known[d]) for d in places if d in known}
         whole = {"references": in_order, "heuristic": kept.heuristic}
         write_text(path, json.dumps(whole, indent=1) + "\n")

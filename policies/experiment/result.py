@@ -343,11 +343,11 @@ def policy_figures(result: Result) -> dict[str, Any]:
     by_seed: dict[int | None, list[Outcome]] = {}
     for row in result.outcomes:
         by_seed.setdefault(row.seed, []).append(row)
-    told = asdict(about)
-    del told["training_seconds"]  # the result's own
+    figures = asdict(about)
+    del figures["training_seconds"]  # the result's own
     if any(row.open_tasks is None for row in result.outcomes):
         unknown = ("score", "costs", "cost", "solved", "connected", "gap")
-        return {**dict.fromkeys(unknown), **told}
+        return {**dict.fromkeys(unknown), **figures}
     references = result.references
     best = sum(length + scale.open_cost * over for _, over, length in references.values())
     tasks = sum(task.tasks or 0 for task in result.tasks)
@@ -372,7 +372,7 @@ def policy_figures(result: Result) -> dict[str, Any]:
         "solved": statistics.fmean(solved),
         "connected": statistics.fmean(connected),
         "gap": statistics.fmean(gaps) if gaps else None,
-        **told,
+        **figures,
     }
 
 

@@ -157,10 +157,10 @@ def ways_of(engine: Engine, observation: "OutlookObservation") -> Ways:
             total=np.zeros(MOVES, np.int64),
         )
         known = _ways[engine] = ways, np.full(m, NOBODY, np.int64)
-    ways, of = known
-    if (of != engine.replaced).any():
-        ways.found[of != engine.replaced] = 0
-        of[:] = engine.replaced
+    ways, replaced = known
+    if (replaced != engine.replaced).any():
+        ways.found[replaced != engine.replaced] = 0
+        replaced[:] = engine.replaced
     return ways._replace(radius=observation.radius, margin=observation.margin)
 
 

@@ -188,12 +188,13 @@ class Policy(Moves):
         fits = isinstance(experiment.task, RoutingClass)
         check(file, fits, f"a checkpoint of a task of {__name__}")
         super().__init__(experiment)
-        task = {key: of for key, of in experiment.task.config.items() if key not in _OF_THE_TASK}
+        config = experiment.task.config
+        task = {key: value for key, value in config.items() if key not in _OF_THE_TASK}
         self.options = Training(task).options
         took = {"agent_steps": agent_steps, "processor_seconds": processor_seconds}
         if (row := known.with_name(ROW)).exists():  # without a teacher
-            told = build_json(dict[str, Any], read_text(row, _MOST_BYTES), str(row))
-            took = {key: told.get(key) if of is None else of for key, of in took.items()}
+            known_row = build_json(dict[str, Any], read_text(row, _MOST_BYTES), str(row))
+            took = {key: known_row.get(key) if n is None else n for key, n in took.items()}
             teacher = bool(teacher)
         self.training = {**took, "teacher": teacher}
         self.obs_shape = tuple(experiment.observation_spec[GROUP, "observation"].shape[1:])

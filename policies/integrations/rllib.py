@@ -101,5 +101,5 @@ class Policy:
             free = torch.from_numpy(masks).float()
             seen = {self._mask.observation_key: seen, self._mask.mask_key: free}
         with torch.no_grad():
-            told = self._module.forward_inference({Columns.OBS: seen})
-        return told[Columns.ACTION_DIST_INPUTS].argmax(-1).numpy()
+            outputs = self._module.forward_inference({Columns.OBS: seen})
+        return outputs[Columns.ACTION_DIST_INPUTS].argmax(-1).numpy()

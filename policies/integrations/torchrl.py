@@ -198,9 +198,9 @@ class GroupMoves:
             "observation": torch.from_numpy(seen.reshape(games, n, *seen.shape[1:])),
             "action_mask": torch.from_numpy(free.reshape(games, n, -1)),
         }
-        told = TensorDict({GROUP: TensorDict(group, [games, n])}, [games])
+        inputs = TensorDict({GROUP: TensorDict(group, [games, n])}, [games])
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-            return self._policy(told)[GROUP, "action"].flatten()[:rows].numpy()
+            return self._policy(inputs)[GROUP, "action"].flatten()[:rows].numpy()
 
 
 def save(policy: TensorDictModuleBase, env: RoutingEnv, file: str | os.PathLike[str]) -> None:

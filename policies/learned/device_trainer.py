@@ -131,10 +131,10 @@ class DeviceTrainer:
         while self.running[0]:
             self.ppo.progress = self._share()
             with _computing():
-                told = self.ppo.iterate()
-            self.steps += told.steps
-            self.episodes += told.episodes
-            episode = self._sample(told.loss)
+                progress = self.ppo.iterate()
+            self.steps += progress.steps
+            self.episodes += progress.episodes
+            episode = self._sample(progress.loss)
             self.spent = self.clock()
             self._evaluate()
             yield episode

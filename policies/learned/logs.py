@@ -292,10 +292,10 @@ class Events:
         for curve, value in values.items():
             self._writer.add_scalar(f"{curve}/{problem}", value, step)
 
-    def _add_means(self, of: Sequence[Mapping[str, float]], step: int) -> None:
+    def _add_means(self, figures: Sequence[Mapping[str, float]], step: int) -> None:
         """Adds the means over the problems, each over those that have a value."""
         together: dict[str, list[float]] = defaultdict(list)
-        for values in of:
+        for values in figures:
             for curve, value in values.items():
                 together[curve].append(value)
         for curve, known in together.items():

@@ -60,7 +60,7 @@ def player_of(
     )
     observation, reward = env.observation.make(), env.reward.make()
     everyone = env.agents == "multi" and (trains or not engine.static.sequential)
-    return Player(engine, observation, reward, everyone=everyone, draws=draws, turned=True)
+    return Player(engine, observation, reward, everyone=everyone, draws=draws, reorder_moves=True)
 
 
 def check_weights(weights: Mapping[str, Any], module: nn.Module) -> None:
@@ -170,8 +170,8 @@ class TrainedPolicy:
             reason = " ".join(str(error).split())[:120]
             raise InputError(f"{where}: weights do not fit the network: {reason}") from None
         origin = policy_origin(kept["episodes"][row])
-        told = kept.get("negotiation"), asdict(kept.get("figures") or TrainingFigures())
-        return TrainedPolicy(module, masking, obs_shape, env, origin, *told, learner.name)
+        about = kept.get("negotiation"), asdict(kept.get("figures") or TrainingFigures())
+        return TrainedPolicy(module, masking, obs_shape, env, origin, *about, learner.name)
 
     def act(self, observation: NDArray[np.float32], mask: NDArray[np.int8]) -> int:
         """The best of the moves for an observation (*S) and mask (A,) of an environment."""

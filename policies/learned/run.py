@@ -433,8 +433,8 @@ class Run:
                     saved = time.monotonic()
             keep()  # nothing is trained again if the results below are interrupted
         rows = self._results()
-        told = {"figures": asdict(self.figures)}
-        _save({**self.trainer.saved.state(), **told}, self.folder / POLICY)
+        training = {"figures": asdict(self.figures)}
+        _save({**self.trainer.saved.state(), **training}, self.folder / POLICY)
         if config.train.figures and self._logged:  # an episode has ended
             # matplotlib: only if it is wanted
             from policies.figures.plot import reward_figures, run_figures

@@ -466,8 +466,8 @@ _OWN = ("episodes", "steps", "score", "best_episode", "_evaluated", "_told")
 
 def _games_of(player: Player) -> dict[str, NDArray[Any]]:
     """The arrays of a player's games by name: those of ``Dynamic``, then its buffers."""
-    games = {f"games.{name}": of for name, of in player.engine.dynamic._asdict().items()}
-    return games | {f"step.{name}": of for name, of in player.buffers._asdict().items()}
+    games = {f"games.{name}": array for name, array in player.engine.dynamic._asdict().items()}
+    return games | {f"step.{name}": array for name, array in player.buffers._asdict().items()}
 
 
 def _routes(kept: Any, problem: Problem, where: str) -> Solution | None:

@@ -65,15 +65,15 @@ def _layers(problem: Problem, solution: Solution) -> Iterator[dict[str, Any]]:
     layer, axis = edge // AXES % layers, edge % AXES
     groups = edge_groups(problem, solution)
     # Groups of edges that are not in use nor adjusted come last, by layer and axis.
-    of = np.where(
+    layer_of = np.where(
         groups.edge >= 0,
         groups.edge // AXES % layers,
         (np.arange(len(groups.edge)) - (len(groups.edge) - 2 * layers)) // 2,
     )
-    capacity = np.bincount(of, groups.capacity * groups.number, layers)
-    demand = np.bincount(of, groups.demand * groups.number, layers)
+    capacity = np.bincount(layer_of, groups.capacity * groups.number, layers)
+    demand = np.bincount(layer_of, groups.demand * groups.number, layers)
     over = np.maximum(groups.demand - groups.capacity, 0) * groups.number
-    overflow = np.bincount(of, over, layers)
+    overflow = np.bincount(layer_of, over, layers)
     wires = np.bincount(layer[axis != VIA_AXIS], minlength=layers)
     vias = np.bincount(layer[axis == VIA_AXIS], minlength=layers)
     for z, name in enumerate(chip.layers):

@@ -152,8 +152,10 @@ def read_rows(path: Path, schema: type[Any] = ExperimentRow) -> list[Row]:
         where = f"{path}: row {number}"
         row: Row = build(schema, raw, where)
         for less, more in _PARTS:
-            of = row.get(less)
-            check(f"{where}: {less}", of is None or of <= row[more], f"at most the {more}")
+            smaller = row.get(less)
+            check(
+                f"{where}: {less}", smaller is None or smaller <= row[more], f"at most the {more}"
+            )
         joined, tasks = row["joined"], row["tasks"]
         fits = joined == tasks if None in (joined, tasks) else joined <= tasks
         check(f"{where}: joined", fits, "at most the tasks")

@@ -118,8 +118,8 @@ def bootstrap_interval(scores: NDArray[np.float64]) -> tuple[float, float]:
     rng = np.random.default_rng(0)
     problems, seeds = scores.shape
     drawn = rng.integers(problems, size=(RESAMPLES, problems, 1))
-    of = rng.integers(seeds, size=(RESAMPLES, problems, seeds))
-    means = _trimmed(scores[drawn, of].reshape(RESAMPLES, -1))
+    seed = rng.integers(seeds, size=(RESAMPLES, problems, seeds))
+    means = _trimmed(scores[drawn, seed].reshape(RESAMPLES, -1))
     low, high = np.quantile(means, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
     return float(low), float(high)
 

@@ -230,9 +230,9 @@ class Search:
         """Looks at the clock, and tells who watches; returns why the search ends, if it does."""
         asked = False
         if self._watch is not None:
-            told = time.thread_time()
+            before = time.thread_time()
             asked = self._watch(self._line())
-            self._began += time.thread_time() - told
+            self._began += time.thread_time() - before
         left = self._left()
         self._set_work(left)
         if not self.history:  # the first pass makes a whole solution
