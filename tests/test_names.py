@@ -268,7 +268,9 @@ def test_a_terminal_with_ascii(terminal: dict[str, str], here: Path) -> None:
     said, codes = parts[:-1:2], [int(code) for code in parts[1::2]]
     assert codes == list(expected.values()), done.stderr
     for code, lines in zip(codes, said, strict=True):
-        assert code == 0 or len(lines.splitlines()) == 1, lines
+        # Whatever takes long, as imports do on a busy machine, says so in a line of its own.
+        errors = [line for line in lines.splitlines() if not line.endswith(b" ...")]
+        assert code == 0 or len(errors) == 1, lines
 
 
 @pytest.mark.slow

@@ -58,7 +58,8 @@ class TrainOptions:
         device: ``cpu`` or ``cuda``. With ``cuda`` the networks are on the device; for ppo, ippo and
             mappo with ``games``, so are all games (:mod:`policies.learned.device_trainer`).
         threads: threads that share the networks of a training.
-        checkpoint_seconds: seconds between checkpoints.
+        checkpoint_seconds: seconds between checkpoints, and at least nine times as many as writing
+            one takes; 0: as often as possible.
         tensorboard: whether to write TensorBoard's event files beside ``metrics.jsonl``.
         wandb: whether to log the same in Weights & Biases, as a run of the project ``marouting``
             named after the run folder. ``WANDB_MODE=offline`` needs no account.

@@ -397,7 +397,8 @@ class Run:
             (self.folder / RESULT).unlink(missing_ok=True)
         started = time.monotonic() - self._seconds
         self._began = time.process_time() - self._processor_seconds
-        saved = time.monotonic()
+        pause = config.train.checkpoint_seconds
+        due = time.monotonic() + pause
         with (
             Logs(
                 self.folder,
@@ -427,10 +428,12 @@ class Run:
                     logs.write(episodes, trainer.evaluations)
                 if watch is not None:
                     watch(episodes)
-                due = time.monotonic() - saved >= config.train.checkpoint_seconds
-                if held.numbers or due:
+                if held.numbers or time.monotonic() >= due:
+                    begun = time.monotonic()
                     keep()
-                    saved = time.monotonic()
+                    # Of a large game it has gigabytes: writing takes a tenth of the time at most.
+                    took = time.monotonic() - begun
+                    due = time.monotonic() + (max(pause, 9 * took) if pause else 0)
             keep()  # nothing is trained again if the results below are interrupted
         rows = self._results()
         training = {"figures": asdict(self.figures)}
