@@ -397,11 +397,11 @@ class Game:
         self.history.update(np.flatnonzero(self._full_edges()).tolist())
         self.queue = list(self.order)
         if self.rip_up.choose == "history":
-            self.queue.sort(key=self._price, reverse=True)  # equal ones stay in turn order
+            self.queue.sort(key=self._conflicts, reverse=True)  # equal ones stay in turn order
         self.queue.reverse()
         return True
 
-    def _price(self, n: int) -> tuple[int, int]:
+    def _conflicts(self, n: int) -> tuple[int, int]:
         """A net's open tasks, then the rounds in which its edges were full, summed over edges."""
         return self.open_tasks(n), sum(self.history[edge] for edge in self.used[n])
 
@@ -409,7 +409,7 @@ class Game:
         """Whether a net is ripped up now that it is its turn in a round."""
         if self.rip_up.choose == "conflicts":
             return self.open_tasks(n) > 0 or any(map(self.is_full, self.used[n]))
-        return self.rip_up.choose == "all" or any(self._price(n))
+        return self.rip_up.choose == "all" or any(self._conflicts(n))
 
     def _ask(self, n: int) -> None:
         """Asks an agent: RIP_UP, or any move to keep the route? It stands at its first pin."""

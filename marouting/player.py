@@ -16,9 +16,9 @@ from marouting.batch.engine import Engine
 from marouting.batch.observation import see_paper
 from marouting.batch.state import Dynamic, Option
 from marouting.batch.step import (
-    ALL,
-    NOT,
-    TURNS,
+    SETTLE_ALL,
+    SETTLE_NOTHING,
+    SETTLE_TURNS,
     Earlier,
     FastPath,
     StepBuffers,
@@ -149,7 +149,7 @@ class Player:
             self._step = specialised(play, *self._arguments, True, True)
             return
         begins, on_turn = np.zeros(len(buffers.over), np.bool_), engine.games["agent"].copy()
-        self._settle = specialised(settle_games, *self._arguments, begins, on_turn, NOT)
+        self._settle = specialised(settle_games, *self._arguments, begins, on_turn, SETTLE_NOTHING)
         # Problems, agents and rows of those that have arrived.
         self._places = tuple(np.zeros(buffers.agents.size, np.int32) for _ in range(3))
         self._list_arrived = specialised(list_arrived, *self._arguments, on_turn, *self._places)
@@ -171,7 +171,7 @@ class Player:
         which = np.ascontiguousarray(which)  # as bound code expects it
         self._start(which)
         on_turn = np.full(len(over), NOBODY, np.int32)
-        self._settle(*self._arguments, which, on_turn, NOT)
+        self._settle(*self._arguments, which, on_turn, SETTLE_NOTHING)
         self._look(which)
         self._reorder_masks()
 
@@ -331,11 +331,11 @@ class Player:
         if self._before is None:
             self._move(*self._arguments, begins)
             self._look_back(on_turn)
-            self._settle(*self._arguments, begins, on_turn, ALL)
+            self._settle(*self._arguments, begins, on_turn, SETTLE_ALL)
         else:
             self._move_by_turns(self._before, begins, on_turn)
             self._look_back(on_turn)
-            self._settle(*self._arguments, begins, on_turn, TURNS)
+            self._settle(*self._arguments, begins, on_turn, SETTLE_TURNS)
             if engine.static.options[Option.ROUNDS]:
                 self._update_before((engine.games["just_ripped"] | engine.games["asked"]) != 0)
             else:

@@ -26,7 +26,7 @@ from marouting.problem.grid import AXES, VIA_AXIS, Grid
 from policies.routers.base import Router, solve, warm_up
 from policies.routers.optimal import OptimalRouter, Optimum
 from policies.routers.optimal.flows import MOST_TRACKS
-from policies.routers.optimal.priced_tree import NEVER, Across, Window, cheapest_priced_tree
+from policies.routers.optimal.priced_tree import NEVER, TreesByEdge, Window, cheapest_priced_tree
 from policies.routers.optimal.router import MOST_PINS
 from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
 
@@ -204,7 +204,7 @@ def test_two_pins_are_joined_by_a_shortest_path(seed: int) -> None:
 def test_trees_across_every_edge(case: tuple[Shape, Costs, NDArray[np.int64]]) -> None:
     shape, price, pins = case
     every, flat = sets(shape), price.reshape(-1)
-    across = Across(price, pins)
+    across = TreesByEdge(price, pins)
     assert across.cost.shape == (price.size,)
     assert (across.cost[flat == NEVER] == NEVER).all()
     parts = [
@@ -246,14 +246,16 @@ def test_windows(data: st.DataObject) -> None:
     within = np.all((position[:, :2] >= low) & (position[:, :2] <= high), axis=1)
     assert np.prod(window.shape) == np.count_nonzero(within)
     # Gcells and edges in the window keep their order; no edge leaves it.
-    assert window.inside(np.flatnonzero(within)).tolist() == list(range(np.count_nonzero(within)))
+    assert window.gcells_in_window(np.flatnonzero(within)).tolist() == list(
+        range(np.count_nonzero(within))
+    )
     price = np.where(grid.exists, np.arange(grid.edges), NEVER)
     cut = window.cut(price.reshape(*shape, AXES)).reshape(-1)
     own = np.flatnonzero(cut < NEVER)
-    assert np.array_equal(window.outside(own), cut[own])
+    assert np.array_equal(window.edges_in_grid(own), cut[own])
     edges = np.flatnonzero(grid.exists)
     near, far = grid.ends(edges)
-    assert np.array_equal(window.outside(own), edges[within[near] & within[far]])
+    assert np.array_equal(window.edges_in_grid(own), edges[within[near] & within[far]])
 
 
 def test_cutting_does_not_change_the_prices() -> None:

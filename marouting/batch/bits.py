@@ -45,9 +45,9 @@ def has(bits: Any, m: int, row: int, number: int) -> int:
 
 
 @compiled
-def put(bits: Any, m: int, row: int, number: int, puts: int) -> None:
-    """Puts a number into a row if ``puts`` is 1; does nothing if it is 0."""
-    bits[m, row, number >> 3] |= np.uint8(puts << (number & 7))
+def put(bits: Any, m: int, row: int, number: int, bit: int) -> None:
+    """Puts a number into a row if ``bit`` is 1; does nothing if it is 0."""
+    bits[m, row, number >> 3] |= np.uint8(bit << (number & 7))
 
 
 @compiled

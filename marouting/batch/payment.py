@@ -105,7 +105,7 @@ def _worth(prices: Any, share: int, overflow: int, joined: int, wirelength: int)
 
 @inlined
 def _due(remaining: int, demand: int) -> int:
-    """The overflow of an edge that would go if a net gave it back."""
+    """The overflow that an edge would lose if a net released it."""
     return max(-remaining, 0) - max(-remaining - demand, 0)
 
 
@@ -134,7 +134,7 @@ def _share_overflow(
 def _pay_overflow(
     static: Static, dynamic: Dynamic, fast: Any, m: int, n: int, price: float, reward: Any
 ) -> None:
-    """Pays all nets but agent n's for the overflow that would go if they gave their edges back."""
+    """Pays all nets but agent n's for the overflow that would go if they released their edges."""
     if price == 0:
         return
     for other in range(static.order.shape[1]):

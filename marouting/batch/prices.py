@@ -1,7 +1,7 @@
 """Prices of edges, which rise round by round where demand exceeds capacity.
 
 They need an engine with a :class:`Negotiation`, which only the generalist (policies/generalist)
-uses. The first walk and most rip-up rounds (:mod:`marouting.batch.rounds`) are then **priced**. In
+uses. The first walk and some rip-up rounds (:mod:`marouting.batch.rounds`) are then **priced**. In
 them an edge inside a layer costs a net
 
     (1 + price) · (1 + present · over / demand),
@@ -20,7 +20,7 @@ Programming 6, 1974).
 
 This is negotiated congestion, after McMurchie and Ebeling, "PathFinder: a negotiation-based
 performance-driven router for FPGAs", FPGA 1995, with agents that make moves. Costs are integers:
-an edge without a price costs :data:`UNIT`. Prices have a finer unit, 1 / WHOLE.
+an edge without a price costs :data:`UNIT`. Prices have a finer unit, 1 / PRICE_SCALE.
 """
 
 from dataclasses import dataclass
@@ -38,18 +38,18 @@ from marouting.rules import MOST_ROUNDS
 
 UNIT = 16  # the cost of an edge without a price
 MOST = 60 * UNIT  # the most that an edge costs
-WHOLE = 1024  # ``GAME.present`` and prices count in parts of this
+PRICE_SCALE = 1024  # ``GAME.present`` and prices count in parts of this
 
 LEAST_PRESENT, MOST_PRESENT = 0.01, 2.0
 """The bounds of ``present``: rounding keeps a smaller one from growing, and a larger one outweighs
 prices."""
 
-LARGEST = int(MOST_PRESENT * WHOLE)  # the largest ``present``, in parts of ``WHOLE``
+LARGEST = int(MOST_PRESENT * PRICE_SCALE)  # the largest ``present``, in parts of ``PRICE_SCALE``
 MOST_DECAY = 1000.0  # with the largest ``step_decay`` prices rise in one negotiation only
 
 _RISE, MOST_RISE = 192, 640
-"""What overflow adds to the price of an edge before a priced round, in parts of ``WHOLE``: as long
-as ``present`` is as at first, and at most."""
+"""What overflow adds to the price of an edge before a priced round, in parts of ``PRICE_SCALE``:
+as long as ``present`` is as at first, and at most."""
 
 NO_LIMIT = 1 << 55  # more overflow than there can be
 _PRICED, _PLAIN = 10, 2
@@ -108,7 +108,7 @@ def first_present(static: Static) -> int:
 def price_of(static: Static, dynamic: Dynamic, m: int, edge: int) -> int:
     """The price of an edge, in parts of UNIT."""
     price = i64(dynamic.numbers[m, static.options[Option.PRICES] + edge])
-    return (UNIT * price + WHOLE // 2) // WHOLE
+    return (UNIT * price + PRICE_SCALE // 2) // PRICE_SCALE
 
 
 @compiled
@@ -119,7 +119,7 @@ def edge_cost(static: Static, dynamic: Dynamic, m: int, edge: int, demand: int, 
     cost = UNIT + price_of(static, dynamic, m, edge)
     if room < demand and demand > 0:
         parts = i64(dynamic.games[m].present) * (demand - room) // demand
-        cost = cost * (WHOLE + parts) // WHOLE
+        cost = cost * (PRICE_SCALE + parts) // PRICE_SCALE
     return min(cost, i64(MOST))
 
 
@@ -152,7 +152,7 @@ def _decayed(static: Static, dynamic: Dynamic, m: int, step: int) -> int:
 
 
 @compiled
-def _raise(static: Static, dynamic: Dynamic, m: int) -> None:
+def _raise_prices(static: Static, dynamic: Dynamic, m: int) -> None:
     """Before a priced round: edges with overflow get more expensive, and ``present`` grows."""
     game, first = dynamic.games[m], first_present(static)
     rise = min(_RISE * max(i64(game.present), first) // first, i64(MOST_RISE))
@@ -166,7 +166,7 @@ def _raise(static: Static, dynamic: Dynamic, m: int) -> None:
 
 
 @compiled
-def _lower(static: Static, dynamic: Dynamic, m: int) -> None:
+def _lower_prices(static: Static, dynamic: Dynamic, m: int) -> None:
     """Before priced rounds that follow plain ones: prices fall, and nets share cheaply again."""
     prices = as_index(static.options[Option.PRICES])
     for edge in range(static.capacity.shape[1]):
@@ -174,7 +174,7 @@ def _lower(static: Static, dynamic: Dynamic, m: int) -> None:
         if price == 0:
             continue
         price -= _decayed(static, dynamic, m, price * _FALL // 100)
-        dynamic.numbers[m, prices + edge] = price - price % (WHOLE // UNIT)
+        dynamic.numbers[m, prices + edge] = price - price % (PRICE_SCALE // UNIT)
     dynamic.games[m].present = 0
     dynamic.games[m].negotiations += 1
 
@@ -232,7 +232,7 @@ def take_routes(static: Static, dynamic: Dynamic, m: int, n: int, row: int, join
 
 
 @compiled
-def choose_kind(static: Static, dynamic: Dynamic, m: int) -> None:
+def begin_priced_or_plain(static: Static, dynamic: Dynamic, m: int) -> None:
     """Before a round: whether it is priced, and what prices are then."""
     game = dynamic.games[m]
     if not is_on(static, Option.PRICES):
@@ -247,8 +247,8 @@ def choose_kind(static: Static, dynamic: Dynamic, m: int) -> None:
         if game.stuck < _PLAIN:
             game.plain += 1
             return
-        _lower(static, dynamic, m)
-        _raise(static, dynamic, m)
+        _lower_prices(static, dynamic, m)
+        _raise_prices(static, dynamic, m)
         game.plain = game.stuck = 0
         game.fewest = NO_LIMIT
         return
@@ -256,7 +256,7 @@ def choose_kind(static: Static, dynamic: Dynamic, m: int) -> None:
     if 100 * game.overflow < 99 * game.fewest:
         game.fewest, game.stuck = game.overflow, 0
     if game.overflow > 0 and game.stuck < _PRICED:
-        _raise(static, dynamic, m)
+        _raise_prices(static, dynamic, m)
     else:
         game.plain, game.stuck = 1, 0
         if game.best_joined > game.joined or game.best_overflow < game.overflow:

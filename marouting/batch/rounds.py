@@ -24,7 +24,7 @@ from marouting import game as rules
 from marouting.batch.bits import byte_of, empty, next_in, put, set_byte
 from marouting.batch.edges import use_edges
 from marouting.batch.places import grid_of
-from marouting.batch.prices import choose_kind, is_priced, net_cost, put_best, take_routes
+from marouting.batch.prices import begin_priced_or_plain, is_priced, net_cost, put_best, take_routes
 from marouting.batch.state import Choice, Dynamic, Option, Static
 from marouting.batch.tasks import begin_net, begin_task, clear_move, is_on, next_task
 from marouting.game import NOBODY, Crossing, Ending, Status
@@ -33,8 +33,8 @@ from marouting.problem.grid import AXES, VIA_AXIS
 from marouting.trees.heap import pop, push
 
 _SHIFT = 24
-_OPEN = 1 << _SHIFT  # the price of an open task: more than that of any edges
-_MOST_OPEN = 4096  # so that a price, shifted once more, fits into 64 bits
+_OPEN = 1 << _SHIFT  # the weight of an open task: more than that of all edges
+_MOST_OPEN = 4096  # so that the weight, shifted once more, fits into 64 bits
 _LAST = (1 << _SHIFT) - 1
 
 
@@ -46,19 +46,19 @@ def is_full(static: Static, dynamic: Dynamic, m: int, edge: int) -> bool:
 
 
 @compiled
-def _price(static: Static, dynamic: Dynamic, m: int, n: int, now: bool) -> int:
+def _conflicts(static: Static, dynamic: Dynamic, m: int, n: int, now: bool) -> int:
     """A net's open tasks and full edges: those full now, or each by the rounds it was full in."""
-    price = i64(0)
+    conflicts = i64(0)
     edge = next_in(dynamic.used, m, n, i64(0))
     while edge != NOBODY:
         if not now:
-            price += dynamic.numbers[m, static.options[Option.HISTORY] + edge]
+            conflicts += dynamic.numbers[m, static.options[Option.HISTORY] + edge]
         elif is_full(static, dynamic, m, edge):
-            price += 1
+            conflicts += 1
         edge = next_in(dynamic.used, m, n, edge + 1)
     tasks = static.first[m, n + 1] - static.first[m, n]
     missing = min(i64(tasks - dynamic.agents[m, n].joined), _MOST_OPEN)
-    return min(price, _OPEN - 1) + _OPEN * missing
+    return min(conflicts, _OPEN - 1) + _OPEN * missing
 
 
 lot = compiled(rules.lot)
@@ -68,7 +68,7 @@ lot = compiled(rules.lot)
 def _begin_round(static: Static, dynamic: Dynamic, m: int) -> None:
     """Counts full edges, and lines up the nets."""
     game = dynamic.games[m]
-    choose_kind(static, dynamic, m)
+    begin_priced_or_plain(static, dynamic, m)
     game.round += 1
     game.place = game.reroutes = 0
     game.began_joined, game.began_overflow = game.joined, game.overflow
@@ -81,7 +81,7 @@ def _begin_round(static: Static, dynamic: Dynamic, m: int) -> None:
     while size < len(line) and static.order[m, size] != NOBODY:
         price = i64(0)
         if static.options[Option.RIP_UP] == Choice.HISTORY:
-            price = _price(static, dynamic, m, i64(static.order[m, size]), False)
+            price = _conflicts(static, dynamic, m, i64(static.order[m, size]), False)
         elif is_priced(static, dynamic, m):
             price = lot(i64(game.round), i64(static.order[m, size]), i64(NOBODY))
         push(line, size, price << _SHIFT | (_LAST - size))
@@ -97,7 +97,7 @@ def _is_chosen(static: Static, dynamic: Dynamic, m: int, n: int) -> bool:
     """Whether a net is ripped up now that it is considered."""
     rip_up = static.options[Option.RIP_UP]
     if rip_up == Choice.CONFLICTS or rip_up == Choice.HISTORY:
-        return _price(static, dynamic, m, n, rip_up == Choice.CONFLICTS) > 0
+        return _conflicts(static, dynamic, m, n, rip_up == Choice.CONFLICTS) > 0
     return True
 
 
@@ -120,17 +120,17 @@ def _box(static: Static, m: int, n: int, joined: int) -> tuple[int, int, int, in
 
 @compiled
 def _in_the_way(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
-    """Fills ``again`` with a net and those that stand in its way; returns how many they are."""
+    """Lists a net and those in its way in ``Option.RIPPED``; returns how many they are."""
     o, most = static.options, static.options[Option.RIPPED_MOST]
     if o[Option.PATIENCE] > 0:
         most = min(most, 1 + (i64(dynamic.games[m].plain) - 1) // o[Option.PATIENCE])
     if is_priced(static, dynamic, m):
         most = i64(1)
-    again = dynamic.numbers[m, o[Option.RIPPED] : o[Option.RIPPED] + most]
+    ripped = dynamic.numbers[m, o[Option.RIPPED] : o[Option.RIPPED] + most]
     counts = dynamic.numbers[m, o[Option.QUEUE] : o[Option.QUEUE] + most]
     blocking = as_index(o[Option.KEPT])
-    again[0], size = n, i64(1)
-    if len(again) == 1:
+    ripped[0], size = n, i64(1)
+    if len(ripped) == 1:
         return size
     # Such edges lie close to each other: all other bytes of the nets need not be looked at.
     begin, stop = i64(static.capacity.shape[1]), i64(0)
@@ -166,12 +166,12 @@ def _in_the_way(static: Static, dynamic: Dynamic, m: int, n: int) -> int:
         at = size
         while at > 1 and counts[at - 1] < count:
             at -= 1
-        if at == len(again):
+        if at == len(ripped):
             continue
-        size = min(size + 1, i64(len(again)))
+        size = min(size + 1, i64(len(ripped)))
         for k in range(size - 1, at, -1):
-            again[k], counts[k] = again[k - 1], counts[k - 1]
-        again[at], counts[at] = other, count
+            ripped[k], counts[k] = ripped[k - 1], counts[k - 1]
+        ripped[at], counts[at] = other, count
     return size
 
 

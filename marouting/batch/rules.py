@@ -114,7 +114,7 @@ def move_extended(static: Static, dynamic: Dynamic, m: int, n: int, move: int) -
 
 @compiled
 def _end_extended(static: Static, dynamic: Dynamic, m: int, n: int) -> None:
-    """What the options do when a task has ended: edges go back, trees grow, nets are judged."""
+    """What the options do when a task has ended: edges are released, trees grow, nets judged."""
     agent = dynamic.agents[m, n]
     if is_on(static, Option.RELEASE_FAILED) and agent.ending == Ending.FAILED:
         row = as_index(static.options[Option.TAKEN] + n)

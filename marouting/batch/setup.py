@@ -1,4 +1,4 @@
-"""Setting up the game: the constant arrays of a batch of problems."""
+"""Setting up the game: the arrays of a batch of problems."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.batch.prices import WHOLE, Negotiation
+from marouting.batch.prices import PRICE_SCALE, Negotiation
 from marouting.batch.state import AGENT, GAME, Choice, Dynamic, Option, Static
 from marouting.errors import InputError
 from marouting.game import NOBODY
@@ -171,7 +171,7 @@ def _options(
     prices = rounds and negotiation.prices
     nearest = rules.next_pin == "nearest"
     tree = rules.target == "tree" or nearest
-    again = (1 + rip_up.neighbours) * rounds
+    most_ripped = (1 + rip_up.neighbours) * rounds
     options = np.full(len(Option), -1, np.int64)
     options[Option.TREE_TARGET] = rules.target == "tree"
     options[Option.NEAREST_NEXT] = nearest
@@ -179,9 +179,9 @@ def _options(
     options[Option.RELEASE_FAILED] = rules.release_failed
     options[Option.ROUNDS] = rip_up.rounds
     options[Option.RIP_UP] = Choice[rip_up.choose.upper()]
-    options[Option.RIPPED_MOST] = again
+    options[Option.RIPPED_MOST] = most_ripped
     options[Option.PATIENCE] = negotiation.patience
-    options[Option.PRESENT] = round(negotiation.present_factor * WHOLE)
+    options[Option.PRESENT] = round(negotiation.present_factor * PRICE_SCALE)
     options[Option.STEP_DECAY] = round(negotiation.step_decay * 100)
     options[Option.MOVES] = rules.moves
     options[Option.WAIT] = rules.wait
@@ -189,18 +189,18 @@ def _options(
         Option.TREE: agents * tree,
         Option.VISITED: agents * rules.mask.visited,
         Option.TAKEN: agents * rules.release_failed,
-        Option.KEPT: again,
+        Option.KEPT: most_ripped,
         Option.BEGUN: agents * nearest,
         Option.BEST: agents * prices,
     }
     columns = {
         Option.LINE: agents * rounds,
-        Option.RIPPED: again,
-        Option.KEPT_JOINED: again,
+        Option.RIPPED: most_ripped,
+        Option.KEPT_JOINED: most_ripped,
         Option.HISTORY: edges * rounds,
         Option.PRICES: edges * prices,
         Option.BEST_JOINED: agents * prices,
-        Option.QUEUE: max(gcells * tree, again),
+        Option.QUEUE: max(gcells * tree, most_ripped),
     }
     for total, sizes in ((Option.ROWS, rows), (Option.COLUMNS, columns)):
         options[total] = 0
@@ -231,11 +231,11 @@ def dynamic_state(
     """
     edges = static.capacity.shape[1]
     m = len(static.capacity) if games is None else games
-    ways, rows = -(-edges // 8), int(static.options[Option.ROWS])
+    row_bytes, rows = -(-edges // 8), int(static.options[Option.ROWS])
     columns = int(static.options[Option.COLUMNS])
     if make is None:
         check_memory(
-            m * ((agents + rows) * ways + 8 * columns),
+            m * ((agents + rows) * row_bytes + 8 * columns),
             "a batch with {} nets on a grid of {} (global_routing_v0.env has room for more)",
             m * agents,
             grid,
@@ -243,9 +243,9 @@ def dynamic_state(
         make = zeros
     return Dynamic(
         remaining=make("remaining", (m, edges), np.int32),
-        used=make("used", (m, agents, ways), np.uint8),
+        used=make("used", (m, agents, row_bytes), np.uint8),
         agents=make("agents", (m, agents), AGENT),
         games=make("games", (m,), GAME),
-        sets=make("sets", (m, rows, ways), np.uint8),
+        sets=make("sets", (m, rows, row_bytes), np.uint8),
         numbers=make("numbers", (m, columns), np.int64),
     )

@@ -3,7 +3,7 @@
 The state of M problems with N agents on one grid shape is held in plain arrays, with the problem as
 the first axis. There are G Gcells, E edges, Z layers, K tasks over all problems, and P nets at most
 that are rerouted at a time. Arrays of options that are switched off have no elements. Sets of edges
-and Gcells are rows of bits (:mod:`marouting.batch.bits`). Only
+and Gcells are rows of bits (:mod:`marouting.batch.bits`). During play only
 :mod:`marouting.batch.rules`, and what it calls, changes the dynamic state.
 """
 
@@ -59,7 +59,7 @@ GAME = np.dtype(
         ("reroutes", np.int32),  # how often nets have been ripped up in this round
         ("just_ripped", np.int8),  # nets have just released their edges, and none has moved since
         ("asked", np.int8),  # the agent to move is asked whether to rip up its net
-        ("kept_joined", np.int32),  # tasks joined before nets gave their edges back
+        ("kept_joined", np.int32),  # tasks joined before nets were ripped up
         ("kept_overflow", np.int64),  # overflow likewise
         ("kept_wirelength", np.int64),  # wirelength likewise
         ("kept_cost", np.int64),  # what the routes before cost their net, in a priced round
@@ -109,7 +109,7 @@ class Option(enum.IntEnum):
     RIPPED = 17  #: P nets that are rerouted; NOBODY where there is none
     KEPT_JOINED = 18  #: P numbers of tasks that they had joined
     HISTORY = 19  #: E numbers of rip-up rounds at whose start the edge was full
-    PRICES = 20  #: E prices of edges, in parts of ``prices.WHOLE``
+    PRICES = 20  #: E prices of edges, in parts of ``prices.PRICE_SCALE``
     BEST_JOINED = 21  #: N numbers of tasks that the best routes so far have joined
     QUEUE = 22  #: G, or at least P, numbers to work with
     ROWS = 23  #: R, all rows

@@ -45,8 +45,6 @@ from marouting.observations import (
 from marouting.problem.grid import MOVES
 from marouting.rewards import Prices, Reward, Share, prices_of
 
-COMPILES = "the batch of games", 8
-
 
 class StepBuffers(NamedTuple):
     """The input and output of a step of M problems, with K rows each.
@@ -188,7 +186,7 @@ def write_mask(static: Static, dynamic: Dynamic, mask: Any, m: int, n: int, row:
 
 
 @inlined
-def _look(
+def _write_obs(
     static: Static, dynamic: Dynamic, fast: FastPath, m: int, n: int, obs: Any, mask: Any, row: int
 ) -> None:
     """Writes what an agent sees, and its mask; zeros and ones for NOBODY."""
@@ -208,7 +206,9 @@ def _make_moves(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath
 
 
 @inlined
-def _take_stock(dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int, n: int, row: int) -> Any:
+def _write_result(
+    dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int, n: int, row: int
+) -> Any:
     """Writes the result of an agent's move; returns the reward."""
     agent = dynamic.agents[m, n]
     b.acted[m, row] = agent.crossing != Crossing.NONE
@@ -231,7 +231,7 @@ def start_game(static: Static, dynamic: Dynamic, b: StepBuffers, m: int) -> None
 
 
 @inlined
-def _finish(b: StepBuffers, m: int, playing: bool, game: Any) -> None:
+def _write_over(b: StepBuffers, m: int, playing: bool, game: Any) -> None:
     """After a step: records whether the episode has ended with it, and how."""
     b.over[m] = playing and game.active == 0
     if b.over[m]:
@@ -245,7 +245,7 @@ def _finish(b: StepBuffers, m: int, playing: bool, game: Any) -> None:
 
 
 @inlined
-def _ends(
+def _has_final_obs(
     static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int, row: int
 ) -> Any:
     """Whether a row gets a final observation: a task has ended, or the turn passes to others."""
@@ -270,7 +270,7 @@ def list_arrived(
     count = 0
     for m in range(len(on_turn)):
         for row in range(b.agents.shape[1]):
-            if _ends(static, dynamic, b, fast, m, row):
+            if _has_final_obs(static, dynamic, b, fast, m, row):
                 problems[count] = m
                 agents[count] = row if fast.everyone else on_turn[m]
                 rows[count] = m * b.agents.shape[1] + row
@@ -289,7 +289,7 @@ def move_game(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, 
             b.reward[m, row] = 0
             b.ending[m, row] = Ending.NONE
         else:
-            b.total[m] += _take_stock(dynamic, b, fast, m, as_index(n), row)
+            b.total[m] += _write_result(dynamic, b, fast, m, as_index(n), row)
 
 
 @compiled
@@ -302,7 +302,7 @@ def move_games(
             move_game(static, dynamic, b, fast, m)
 
 
-NOT, TURNS, ALL = 0, 1, 2
+SETTLE_NOTHING, SETTLE_TURNS, SETTLE_ALL = 0, 1, 2
 """What is to be settled at the end of a step: nothing, whose turn it is, or all that agents do."""
 
 
@@ -314,24 +314,24 @@ def settle_game(
     fast: FastPath,
     m: int,
     on_turn: int,
-    what: int,
+    settling: int,
 ) -> None:
     """The end of a step of one problem, whose turn was that of ``on_turn``."""
     game = dynamic.games[m]
-    if what != NOT:
+    if settling != SETTLE_NOTHING:
         if fast.everyone:
-            if what == ALL:
+            if settling == SETTLE_ALL:
                 for n in range(b.agents.shape[1]):
                     settle_agent(static, dynamic, m, n)
             settle_turns(static, dynamic, m)
         elif on_turn != NOBODY:
-            if what == ALL:
+            if settling == SETTLE_ALL:
                 settle_agent(static, dynamic, m, as_index(on_turn))
             pass_turn(static, dynamic, m)
         acted = False
         for row in range(b.agents.shape[1]):
             acted |= b.acted[m, row]
-        _finish(b, m, acted, game)
+        _write_over(b, m, acted, game)
     if not fast.everyone:
         b.agents[m, 0] = game.agent
     for row in range(b.agents.shape[1]):
@@ -352,12 +352,18 @@ def settle_games(
     fast: FastPath,
     begins: Any,
     on_turn: Any,
-    what: int,
+    settling: int,
 ) -> None:
     """:func:`settle_game` in all problems, and the masks."""
     for m in range(len(begins)):
         settle_game(
-            static, dynamic, b, fast, m, i64(on_turn[m]), i64(NOT) if begins[m] else i64(what)
+            static,
+            dynamic,
+            b,
+            fast,
+            m,
+            i64(on_turn[m]),
+            i64(SETTLE_NOTHING) if begins[m] else i64(settling),
         )
         for row in range(b.agents.shape[1]):
             write_mask(static, dynamic, b.mask, m, i64(b.agents[m, row]), i64(row))
@@ -423,12 +429,12 @@ def step_problem(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPat
     on_turn = i64(dynamic.games[m].agent)
     move_game(static, dynamic, b, fast, m)
     for row in range(b.agents.shape[1]):
-        if _ends(static, dynamic, b, fast, m, row):
+        if _has_final_obs(static, dynamic, b, fast, m, row):
             n = i64(row) if fast.everyone else on_turn
-            _look(static, dynamic, fast, m, n, b.final_obs, b.final_mask, i64(row))
-    settle_game(static, dynamic, b, fast, m, on_turn, i64(ALL))
+            _write_obs(static, dynamic, fast, m, n, b.final_obs, b.final_mask, i64(row))
+    settle_game(static, dynamic, b, fast, m, on_turn, i64(SETTLE_ALL))
     for row in range(b.agents.shape[1]):
-        _look(static, dynamic, fast, m, i64(b.agents[m, row]), b.obs, b.mask, i64(row))
+        _write_obs(static, dynamic, fast, m, i64(b.agents[m, row]), b.obs, b.mask, i64(row))
 
 
 @compiled
@@ -440,8 +446,8 @@ def play(
         if restarts and b.over[m]:
             clear_problem(static, dynamic, m, i64(0), i64(1))
             start_game(static, dynamic, b, m)
-            settle_game(static, dynamic, b, fast, m, i64(NOBODY), i64(NOT))
+            settle_game(static, dynamic, b, fast, m, i64(NOBODY), i64(SETTLE_NOTHING))
             for row in range(b.agents.shape[1]):
-                _look(static, dynamic, fast, m, i64(b.agents[m, row]), b.obs, b.mask, i64(row))
+                _write_obs(static, dynamic, fast, m, i64(b.agents[m, row]), b.obs, b.mask, i64(row))
         elif steps:
             step_problem(static, dynamic, b, fast, m)

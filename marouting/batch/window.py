@@ -78,7 +78,7 @@ from marouting.batch.tasks import is_later
 from marouting.batch.window_rows import (
     MOST_RADIUS,
     SCALARS,
-    Where,
+    WindowOffsets,
     count_heads,
     write_window,
 )
@@ -188,13 +188,13 @@ class WindowObservation:
         return next(reversed(self.layout.values()))[0].stop
 
     @cached_property
-    def where(self) -> Where:
+    def offsets(self) -> WindowOffsets:
         """The options, for compiled code."""
         begins: dict[str, int] = {}
         for channel, name, _ in self._blocks:
             begins.setdefault(channel, self.layout[name][0].start)
         known = self.radius, self.layers, self.message_bits
-        return Where(*known, *(begins.get(channel, NOBODY) for channel in CHANNELS))
+        return WindowOffsets(*known, *(begins.get(channel, NOBODY) for channel in CHANNELS))
 
     def space(self, problems: Sequence[Problem], overflow: bool) -> Box:
         """The box of a row, the same for all problems; see :class:`.observations.Observation`."""
@@ -224,7 +224,7 @@ class WindowObservation:
         check_shapes(problems, agents, out, self.size)
         engine = engine_of(games)
         maps = maps_of(engine) if "demand" in self.channels else _NO_MAPS
-        known = engine.static, engine.dynamic, _heads_of(engine), maps, self.where
+        known = engine.static, engine.dynamic, _heads_of(engine), maps, self.offsets
         rows = np.ascontiguousarray(out, np.float32)
         arguments = *known, *as_int32(problems, agents), rows
         if not _bound_to(engine, arguments)(*arguments):
@@ -273,7 +273,7 @@ class WindowObservation:
             out = np.empty((len(engine.games), columns, rows, layers * channels), np.float32)
         flat = out.reshape(len(out), -1, channels)
         heads = _heads_of(engine)
-        _state(engine.static, engine.dynamic, maps_of(engine), heads, self.where, flat)
+        _state(engine.static, engine.dynamic, maps_of(engine), heads, self.offsets, flat)
         return out
 
 
@@ -341,8 +341,10 @@ def mirrored(
         (…,) int64.
     """
     moves = np.asarray(moves)
-    turned = np.take_along_axis(move_order(obs, actions, messages), moves[..., None], -1)[..., 0]
-    return np.where(moves == NOBODY, NOBODY, turned)
+    mirrored_moves = np.take_along_axis(move_order(obs, actions, messages), moves[..., None], -1)[
+        ..., 0
+    ]
+    return np.where(moves == NOBODY, NOBODY, mirrored_moves)
 
 
 # --- rows -----------------------------------------------------------------------------------------
@@ -350,7 +352,7 @@ def mirrored(
 
 @compiled
 def _write_rows(
-    static: Static, dynamic: Dynamic, heads: Any, maps: Maps, where: Where, problems: Any,
+    static: Static, dynamic: Dynamic, heads: Any, maps: Maps, offsets: WindowOffsets, problems: Any,
     agents: Any, out: Any,
 ) -> bool:  # fmt: skip
     """Fills ``out`` (K, size); returns whether there are such agents."""
@@ -361,36 +363,36 @@ def _write_rows(
             return False
         m = as_index(m)
         if m != counted:
-            _prepare(static, dynamic, heads, maps, where, m)
+            _prepare(static, dynamic, heads, maps, offsets, m)
             counted = m
-        own = where.demand >= 0 and n != NOBODY and dynamic.agents[m, n].status == Status.ACTIVE
-        # Two turns instead of two calls, which would compile it twice.
+        own = offsets.demand >= 0 and n != NOBODY and dynamic.agents[m, n].status == Status.ACTIVE
+        # A loop over two signs instead of two calls, which would compile it twice.
         for sign in range(-1, 2, 2):
             if own:
-                _take_own(static, dynamic, maps, where, m, n, sign)
+                _add_own_demand(static, dynamic, maps, offsets, m, n, sign)
             if sign < 0:
-                write_window(static, dynamic, heads, maps, where, m, n, out, i)
+                write_window(static, dynamic, heads, maps, offsets, m, n, out, i)
     return True
 
 
 @compiled
 def _prepare(
-    static: Static, dynamic: Dynamic, heads: Any, maps: Maps, where: Where, m: int
+    static: Static, dynamic: Dynamic, heads: Any, maps: Maps, offsets: WindowOffsets, m: int
 ) -> None:
     """Brings up to date what the channels need of a problem."""
-    if where.demand >= 0:
+    if offsets.demand >= 0:
         refresh(static, dynamic, maps, m, i64(NOBODY))
-    if max(where.heads, where.messages) >= 0:
+    if max(offsets.heads, offsets.messages) >= 0:
         count_heads(dynamic, heads, m)
 
 
 @compiled
-def _take_own(
-    static: Static, dynamic: Dynamic, maps: Maps, where: Where, m: int, n: int, sign: int
+def _add_own_demand(
+    static: Static, dynamic: Dynamic, maps: Maps, offsets: WindowOffsets, m: int, n: int, sign: int
 ) -> None:
-    """Takes a net's own expected demand off the edges of its window (−1), or adds it again (1)."""
+    """Adds a net's own expected demand to the edges of its window (1), or subtracts it (−1)."""
     _, rows, layers = grid_of(static)
-    reach = i64(where.radius)
+    reach = i64(offsets.radius)
     agent = dynamic.agents[m, n]
     x, y, z = position(static, as_index(agent.cell))
     for task in range(i64(static.first[m, n]), i64(static.first[m, n + 1])):
@@ -402,7 +404,7 @@ def _take_own(
         x0, x1 = i64(static.position[near, 0]), i64(static.position[far, 0])
         y0, y1 = i64(static.position[near, 1]), i64(static.position[far, 1])
         x0, x1, y0, y1 = min(x0, x1), max(x0, x1), min(y0, y1), max(y0, y1)
-        for layer in range(max(z - where.layers, 0), min(z + where.layers, layers - 1) + 1):
+        for layer in range(max(z - offsets.layers, 0), min(z + offsets.layers, layers - 1) + 1):
             for axis in range(VIA_AXIS):
                 across = (y1 - y0 if axis == 0 else x1 - x0) + 1
                 share = sign * share_of(static, maps, m, n, axis, layer, across)
@@ -418,23 +420,29 @@ def _take_own(
 
 @compiled
 def _state(
-    static: Static, dynamic: Dynamic, maps: Maps, heads: Any, where: Where, out: Any
+    static: Static, dynamic: Dynamic, maps: Maps, heads: Any, offsets: WindowOffsets, out: Any
 ) -> None:
     """Fills ``out`` (M, G, C)."""
     for m in range(out.shape[0]):
-        write_window_state(static, dynamic, maps, heads, where, m, out)
+        write_window_state(static, dynamic, maps, heads, offsets, m, out)
 
 
 @compiled
 def write_window_state(
-    static: Static, dynamic: Dynamic, maps: Maps, heads: Any, where: Where, m: int, out: Any
+    static: Static,
+    dynamic: Dynamic,
+    maps: Maps,
+    heads: Any,
+    offsets: WindowOffsets,
+    m: int,
+    out: Any,
 ) -> None:
     """Fills ``out[m]`` (G, C)."""
     layers = maps.track.shape[1]
-    _prepare(static, dynamic, heads, maps, where, m)
-    demand = VIA_AXIS * i64(where.capacity >= 0)
-    history = demand + VIA_AXIS * i64(where.demand >= 0)
-    begin = history + VIA_AXIS * i64(where.history >= 0)
+    _prepare(static, dynamic, heads, maps, offsets, m)
+    demand = VIA_AXIS * i64(offsets.capacity >= 0)
+    history = demand + VIA_AXIS * i64(offsets.demand >= 0)
+    begin = history + VIA_AXIS * i64(offsets.history >= 0)
     for cell in range(out.shape[1]):
         track = maps.track[m, cell % layers]
         for channel in range(out.shape[2]):
@@ -442,32 +450,32 @@ def write_window_state(
         for axis in range(VIA_AXIS):
             edge = as_index(AXES * cell + axis)
             remaining = dynamic.remaining[m, edge]
-            if where.capacity >= 0:
+            if offsets.capacity >= 0:
                 out[m, cell, axis] = squashed(np.float32(remaining) / track)
-            if where.demand >= 0:
+            if offsets.demand >= 0:
                 slack = slack_of(maps, m, cell, axis, remaining, track)
                 out[m, cell, demand + axis] = squashed(slack)
-            if where.history >= 0 and static.options[Option.HISTORY] >= 0:
+            if offsets.history >= 0 and static.options[Option.HISTORY] >= 0:
                 rounds = dynamic.numbers[m, as_index(static.options[Option.HISTORY] + edge)]
                 out[m, cell, history + axis] = squashed(np.float32(rounds))
-    pins = begin + AXES * i64(where.own >= 0)
+    pins = begin + AXES * i64(offsets.own >= 0)
     for n in range(dynamic.agents.shape[1]):
-        if where.own >= 0:
+        if offsets.own >= 0:
             edge = next_in(dynamic.used, m, i64(n), i64(0))
             while edge != NOBODY:
                 out[m, edge // AXES, begin + edge % AXES] += 1
                 edge = next_in(dynamic.used, m, i64(n), edge + 1)
         agent = dynamic.agents[m, n]
-        if where.pins >= 0 and agent.status == Status.ACTIVE:
+        if offsets.pins >= 0 and agent.status == Status.ACTIVE:
             out[m, as_index(agent.target), pins] += 1
             for task in range(i64(static.first[m, n]), i64(static.first[m, n + 1])):
                 if not is_later(static, dynamic, m, n, i64(task)):
                     continue
                 out[m, as_index(static.tasks[task, 1]), pins] += 1
-    bits = i64(where.bits) if where.messages >= 0 else i64(0)
+    bits = i64(offsets.bits) if offsets.messages >= 0 else i64(0)
     end = out.shape[2] - bits
     for cell in range(out.shape[1]):
-        if where.heads >= 0:
+        if offsets.heads >= 0:
             out[m, cell, end - 1] = heads[m, cell]
         for channel in range(begin, end):
             out[m, cell, channel] = squashed(out[m, cell, channel])

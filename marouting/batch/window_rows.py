@@ -26,8 +26,8 @@ _NEAR = 256
 _LOGARITHMS = np.array([math.log2(1 + d) / 8 for d in range(_NEAR)], np.float32)
 
 
-class Where(NamedTuple):
-    """What the compiled code has to know of the options."""
+class WindowOffsets(NamedTuple):
+    """Sizes of a window, and where its channels begin, for compiled code."""
 
     radius: int
     layers: int
@@ -102,13 +102,13 @@ At = tuple[int, int, int, int, int]
 
 @inlined
 def _write_block(
-    static: Static, dynamic: Dynamic, heads: Any, maps: Maps, where: Where, m: int, n: int, at: At,
-    what: int, kind: int, begin: int, out: Any, row: int,
+    static: Static, dynamic: Dynamic, heads: Any, maps: Maps, offsets: WindowOffsets, m: int,
+    n: int, at: At, what: int, kind: int, begin: int, out: Any, row: int,
 ) -> None:  # fmt: skip
     """Writes a block of a channel, of edges along an axis or (``kind`` is AXES) of Gcells."""
     columns, rows, layers = grid_of(static)
     x, y, z, right, up = at
-    reach, deep = i64(where.radius), i64(where.layers)
+    reach, deep = i64(offsets.radius), i64(offsets.layers)
     along_x, along_y = i64(kind == 0), i64(kind == 1)
     height, depth = 2 * reach + 1 + along_y, 2 * deep + 1
     low_y, high_y = low(y, reach, along_y), high(y, reach, along_y, rows)
@@ -153,12 +153,19 @@ def _write_block(
 
 @inlined
 def _write_own(
-    static: Static, dynamic: Dynamic, where: Where, m: int, n: int, at: At, out: Any, row: int
+    static: Static,
+    dynamic: Dynamic,
+    offsets: WindowOffsets,
+    m: int,
+    n: int,
+    at: At,
+    out: Any,
+    row: int,
 ) -> None:
     """Writes ``own``: the bits of a column of the grid that touches the window are side by side."""
     columns, rows, layers = grid_of(static)
     x, y, z, right, up = at
-    reach, deep = i64(where.radius), i64(where.layers)
+    reach, deep = i64(offsets.radius), i64(offsets.layers)
     side, depth = 2 * reach + 1, 2 * deep + 1
     block = side * (side + 1) * depth
     low_y, high_y = low(y, reach, i64(1)), high(y, reach, i64(0), rows)
@@ -178,17 +185,24 @@ def _write_own(
                     inside = 0 <= i < side + along_x and 0 <= j < side + along_y
                     if inside and 0 <= k < depth + along_z:
                         p = (i * (side + along_y) + j) * (depth + along_z) + k
-                        out[row, as_index(where.own + block * axis + p)] = 1
+                        out[row, as_index(offsets.own + block * axis + p)] = 1
                 bits, edge = bits >> 1, edge + 1
 
 
 @inlined
 def _write_pins(
-    static: Static, dynamic: Dynamic, where: Where, m: int, n: int, at: At, out: Any, row: int
+    static: Static,
+    dynamic: Dynamic,
+    offsets: WindowOffsets,
+    m: int,
+    n: int,
+    at: At,
+    out: Any,
+    row: int,
 ) -> None:
     """Writes ``pins`` of an active agent."""
     x, y, z, right, up = at
-    reach, deep = i64(where.radius), i64(where.layers)
+    reach, deep = i64(offsets.radius), i64(offsets.layers)
     side, depth = 2 * reach + 1, 2 * deep + 1
     agent = dynamic.agents[m, n]
     for task in range(i64(static.first[m, n]), i64(static.first[m, n + 1])):
@@ -201,7 +215,7 @@ def _write_pins(
         j = place(i64(static.position[pin, 1]), y, reach, i64(0), up)
         k = i64(static.position[pin, 2]) - z + deep
         if 0 <= i < side and 0 <= j < side and 0 <= k < depth:
-            out[row, as_index(where.pins + (i * side + j) * depth + k)] = 1
+            out[row, as_index(offsets.pins + (i * side + j) * depth + k)] = 1
 
 
 @inlined
@@ -233,8 +247,8 @@ def write_numbers(static: Static, dynamic: Dynamic, m: int, n: int, out: Any, ro
 
 @inlined
 def write_window(
-    static: Static, dynamic: Dynamic, heads: Any, maps: Maps, where: Where, m: int, n: int,
-    out: Any, row: int,
+    static: Static, dynamic: Dynamic, heads: Any, maps: Maps, offsets: WindowOffsets, m: int,
+    n: int, out: Any, row: int,
 ) -> None:  # fmt: skip
     """Fills a row of ``out`` (K, size) with what an agent sees; zeros for NOBODY.
 
@@ -254,32 +268,32 @@ def write_window(
     right = i64(static.position[target, 0] >= x)
     up = i64(static.position[target, 1] >= y)
     at = x, y, z, right, up
-    side, depth = 2 * i64(where.radius) + 1, 2 * i64(where.layers) + 1
+    side, depth = 2 * i64(offsets.radius) + 1, 2 * i64(offsets.layers) + 1
     # One loop over the blocks instead of many calls, each of which would compile everything again.
-    bits = i64(where.bits) if where.messages >= 0 else i64(0)
+    bits = i64(offsets.bits) if offsets.messages >= 0 else i64(0)
     for turn in range(2 * HEADS + 1 + bits):
-        what, kind, begin = i64(turn >> 1), i64(turn & 1), i64(where.capacity)
+        what, kind, begin = i64(turn >> 1), i64(turn & 1), i64(offsets.capacity)
         size = side * (side + 1) * depth * kind
         if turn >= 2 * HEADS:  # a block of Gcells
             what, kind = i64(turn - HEADS), i64(AXES)
-            begin, size = i64(where.heads), i64(0)
+            begin, size = i64(offsets.heads), i64(0)
         if what == DEMAND:
-            begin = i64(where.demand)
+            begin = i64(offsets.demand)
         elif what == HISTORY:
-            begin = i64(where.history if static.options[Option.HISTORY] >= 0 else NOBODY)
+            begin = i64(offsets.history if static.options[Option.HISTORY] >= 0 else NOBODY)
         elif what >= MESSAGES:
-            begin, size = i64(where.messages), side * side * depth * (what - MESSAGES)
+            begin, size = i64(offsets.messages), side * side * depth * (what - MESSAGES)
         if begin >= 0:
             _write_block(
-                static, dynamic, heads, maps, where, m, n, at, what, kind, begin + size, out, row
+                static, dynamic, heads, maps, offsets, m, n, at, what, kind, begin + size, out, row
             )
-    if where.heads >= 0:
-        middle = where.heads + (side * side // 2) * depth + where.layers
+    if offsets.heads >= 0:
+        middle = offsets.heads + (side * side // 2) * depth + offsets.layers
         out[row, as_index(middle)] = squashed_whole(i64(heads[m, cell]) - active)
-    if where.own >= 0:
-        _write_own(static, dynamic, where, m, n, at, out, row)
-    if where.pins >= 0 and active:
-        _write_pins(static, dynamic, where, m, n, at, out, row)
+    if offsets.own >= 0:
+        _write_own(static, dynamic, offsets, m, n, at, out, row)
+    if offsets.pins >= 0 and active:
+        _write_pins(static, dynamic, offsets, m, n, at, out, row)
 
 
 @compiled

@@ -302,14 +302,14 @@ class CudaBatchEnv(BatchEnv):
         """What an observation needs on the device, and its kernels, see :func:`.launches`."""
         if type(observation) is PaperObservation:
             return Paper(float(observation.via_capacity)), see_paper, prepare_nothing, tell_paper
-        where = observation.where
+        offsets = observation.offsets
         games, gcells = self.num_problems, len(self._static.neighbour)
         layers, device = self.pool[0].grid[2], self._device
         tracks = np.array([track_of(static, m) for m in range(len(self.pool))], np.float32)
         maps = new_maps(1, 1, layers, self._zeros)
         look = Surroundings(
-            heads=device.zeros((games, gcells * (1 + (where.messages >= 0))), np.int16, "C"),
-            where=where,
+            heads=device.zeros((games, gcells * (1 + (offsets.messages >= 0))), np.int16, "C"),
+            offsets=offsets,
             maps=maps._replace(track=device.zeros((games, layers), np.float32)),
             tracks=device.of(tracks),
             number=self._pool.number,
@@ -429,7 +429,7 @@ def unsupported(observation: Any, reward: Any) -> Iterator[tuple[str, str]]:
     seen, paid = type(observation), type(reward).__name__
     if seen not in (PaperObservation, WindowObservation):
         yield "observation", f"paper or window for device cuda, found {seen.__name__}"
-    elif seen is WindowObservation and observation.where.demand >= 0:
+    elif seen is WindowObservation and observation.offsets.demand >= 0:
         yield "observation.channels", "no demand for device cuda"
     if prices_of(reward) is None:
         yield "reward", f"a built-in one for device cuda, found {paid}"

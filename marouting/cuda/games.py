@@ -33,8 +33,8 @@ from marouting.batch.observation import write_paper, write_state
 from marouting.batch.rules import clear_problem
 from marouting.batch.state import Dynamic, Static
 from marouting.batch.step import (
-    ALL,
-    NOT,
+    SETTLE_ALL,
+    SETTLE_NOTHING,
     FastPath,
     StepBuffers,
     move_game,
@@ -43,7 +43,7 @@ from marouting.batch.step import (
     write_mask,
 )
 from marouting.batch.window import write_window_state
-from marouting.batch.window_rows import Where, count_heads, write_window
+from marouting.batch.window_rows import WindowOffsets, count_heads, write_window
 from marouting.errors import InputError
 from marouting.game import NOBODY, Ending
 from marouting.kernels import i64, mixed
@@ -290,7 +290,7 @@ class Surroundings(NamedTuple):
     """What the observation ``window`` needs."""
 
     heads: Any  # (M, G) or (M, 2 G), see count_heads
-    where: Where
+    offsets: WindowOffsets
     maps: Maps  # of which only track is there, (M, Z)
     tracks: Any  # (P, Z) track of the problems of the pool
     number: Any  # (M,) the problem that a game plays
@@ -301,13 +301,13 @@ def see_window(
     static: Static, dynamic: Dynamic, look: Surroundings, m: int, n: int, out: Any, row: int
 ) -> None:
     """Writes what an agent sees by the observation ``window``."""
-    write_window(static, dynamic, look.heads, look.maps, look.where, m, n, out, row)
+    write_window(static, dynamic, look.heads, look.maps, look.offsets, m, n, out, row)
 
 
 @kernels.inlined
 def prepare_window(dynamic: Dynamic, look: Surroundings, m: int) -> None:
     """Counts the agents in every Gcell."""
-    if max(look.where.heads, look.where.messages) >= 0:
+    if max(look.offsets.heads, look.offsets.messages) >= 0:
         count_heads(dynamic, look.heads, m)
 
 
@@ -316,7 +316,7 @@ def tell_window(static: Static, dynamic: Dynamic, look: Surroundings, m: int, ou
     """Writes the global state that goes with the observation ``window``."""
     for layer in range(look.tracks.shape[1]):
         look.maps.track[m, layer] = look.tracks[look.number[m], layer]
-    write_window_state(static, dynamic, look.maps, look.heads, look.where, m, out)
+    write_window_state(static, dynamic, look.maps, look.heads, look.offsets, m, out)
 
 
 @kernels.inlined
@@ -463,7 +463,7 @@ def launches(see: Any, prepare: Any, tell: Any) -> Launches:
             return
         if not steps and not step.begins[m]:
             return
-        what = i64(ALL) if steps and not step.begins[m] else i64(NOT)
+        what = i64(SETTLE_ALL) if steps and not step.begins[m] else i64(SETTLE_NOTHING)
         settle_game(static, dynamic, b, fast, m, i64(step.on_turn[m]), what)
         prepare(dynamic, look, m)
 

@@ -169,14 +169,14 @@ def adjusted(problem: Problem, controls: Controls) -> Problem:
     """
     if all(getattr(controls, own.name) == getattr(_NONE, own.name) for own in fields(_NONE)):
         return problem
-    kept, stays, room = _kept_routes(problem, controls)
-    free = np.setdiff1d(np.arange(len(problem.nets)), kept)
+    kept_nets, kept_routes, covered = _kept_routes(problem, controls)
+    free = np.setdiff1d(np.arange(len(problem.nets)), kept_nets)
     check("keep", len(free), f"at least one net that does not stay, found all in {controls.keep}")
     allowed = _allowed_layers(problem, controls)
     whole = _derated(problem, controls, np.any(allowed[free], axis=0))
-    if stays is None:
+    if kept_routes is None:
         return _with_widths(whole, allowed, free)
-    used, tracks = stays.used_edges
+    used, tracks = kept_routes.used_edges
     inside = used % AXES != VIA_AXIS
     used, tracks = used[inside], tracks[inside]
     edge = distinct(np.concatenate((whole.adjusted[0], used)))
@@ -185,7 +185,7 @@ def adjusted(problem: Problem, controls: Controls) -> Problem:
     found = _with_capacities(whole, edge, np.maximum(left, 0), whole.layer_capacity)
     found = _with_widths(found, allowed, free)
     nets = tuple(found.nets[i] for i in free.tolist())
-    chip, own = _chip_of(whole.chip, free), Kept(whole, free, stays.uses, room)
+    chip, own = _chip_of(whole.chip, free), Kept(whole, free, kept_routes.uses, covered)
     return replace(found, nets=nets, chip=chip, kept=own)
 
 
@@ -229,21 +229,21 @@ def layers_of(problem: Problem, name: str, given: str | int | None) -> NDArray[n
 
 def _allowed_layers(problem: Problem, controls: Controls) -> NDArray[np.bool_]:
     """(nets, Z) the layers in which each net may have wires."""
-    signal = _wired(problem, "layers", controls.layers)
+    signal = _layers_with_wires(problem, "layers", controls.layers)
     allowed = np.tile(signal, (len(problem.nets), 1))
     if controls.long_layers is not None and controls.long_nets is not None:
         long = problem.half_perimeters >= controls.long_nets
-        allowed[long] = _wired(problem, "long_layers", controls.long_layers)
+        allowed[long] = _layers_with_wires(problem, "long_layers", controls.long_layers)
     if controls.clock_layers is not None:
         clock = _named(problem, "clock_nets", controls.clock_nets)
         if problem.chip is not None and problem.chip.clock is not None:
             clock |= problem.chip.clock
         check("clock_layers", clock.any(), "clock nets: clock_nets=NAMES, or USE CLOCK in DEF")
-        allowed[clock] = _wired(problem, "clock_layers", controls.clock_layers)
+        allowed[clock] = _layers_with_wires(problem, "clock_layers", controls.clock_layers)
     return allowed
 
 
-def _wired(problem: Problem, name: str, given: str | int | None) -> NDArray[np.bool_]:
+def _layers_with_wires(problem: Problem, name: str, given: str | int | None) -> NDArray[np.bool_]:
     """:func:`layers_of`; raises InputError if they lack wires along an axis that others have."""
     layers = layers_of(problem, name, given)
     chip = problem.chip_or_default
@@ -402,10 +402,10 @@ def _kept_routes(
                 f"keep: {controls.keep}: net {problem.nets[i].name}: expected a route that joins "
                 "all pins; keep_nets selects others"
             )
-    stays = chosen[net]
+    on_kept = chosen[net]
     covered = gcells_in_boxes(record, problem) if has_boxes(record) else nothing
     owner, gcell = np.divmod(covered, int(np.prod(problem.grid)))
-    routes = Solution.of_uses(problem, net[stays], edge[stays])
+    routes = Solution.of_uses(problem, net[on_kept], edge[on_kept])
     return np.flatnonzero(chosen), routes, (owner[chosen[owner]], gcell[chosen[owner]])
 
 

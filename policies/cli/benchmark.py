@@ -2,6 +2,7 @@
 
 import json
 import shlex
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import cast
@@ -10,13 +11,14 @@ import click
 from click.core import ParameterSource
 
 from marouting import InputError
-from policies.cli.completion import keys_of, routers, scenario_names
+from policies.cli.completion import complete_router, keys_of, scenario_names
 from policies.cli.options import (
     FILE,
     allow_code_option,
     json_option,
+    keep_stdout_for_results,
     overrides_argument,
-    results_alone,
+    print_result,
 )
 
 NAME = "{name}"
@@ -36,7 +38,7 @@ OUT = Path("runs/benchmark")
 @overrides_argument(keys_of("benchmark"))
 @click.option(
     "--scenario",
-    "names",
+    "requested",
     multiple=True,
     metavar="NAME",
     shell_complete=scenario_names,
@@ -48,7 +50,7 @@ OUT = Path("runs/benchmark")
     "routers",
     multiple=True,
     metavar="ROUTER",
-    shell_complete=routers,
+    shell_complete=complete_router,
     help="Name of a router or learner, or module:Class, each with options, as in 'astar "
     "best_of=16'; file of a trained policy or run folder of a training; folder of solutions; or "
     "CSV file of published figures. May be given several times.  [default: those of --config]",
@@ -112,7 +114,7 @@ OUT = Path("runs/benchmark")
 @json_option
 def benchmark(
     overrides: tuple[str, ...],
-    names: tuple[str, ...],
+    requested: tuple[str, ...],
     routers: tuple[str, ...],
     name: str | None,
     config: Path | None,
@@ -136,25 +138,7 @@ def benchmark(
     engine=ray distributes the work with Ray.
     """
     if leaderboard is not None:
-        from policies.experiment.leaderboard import write_leaderboard
-
-        context = click.get_current_context()
-        free = ("leaderboard", "out", "as_json", "allow_code")
-        beside = [
-            own.opts[0] if own.opts[0].startswith("-") else " ".join(overrides)
-            for own in context.command.params
-            if context.get_parameter_source(own.name or "") is ParameterSource.COMMANDLINE
-            and own.name not in free
-        ]
-        if beside:
-            found = ", ".join(beside)
-            raise InputError(f"--leaderboard: expected only --out with it, found {found}")
-        written = write_leaderboard(out or OUT, leaderboard)
-        if as_json:
-            click.echo(json.dumps({"files": [str(path) for path in written]}))
-        else:
-            for path in written:
-                click.echo(path)
+        _write_leaderboard(overrides, out or OUT, leaderboard, as_json)
         return
 
     from marouting import scenarios
@@ -168,8 +152,8 @@ def benchmark(
     from policies.experiment.result import read_result, summarise
     from policies.routers.registry import unknown
 
-    results_alone()
-    if not names:
+    keep_stdout_for_results()
+    if not requested:
         known = ", ".join(scenarios.names())
         raise InputError(f"--scenario: expected one of {known}, or all")
     if name is not None and NAME not in name and len(routers) != 1:
@@ -179,7 +163,7 @@ def benchmark(
     own = [text for text in overrides if text.startswith(("engine=", "jobs="))]
     overrides = tuple(text for text in overrides if text not in own)
     settings = build(BenchmarkConfig, override({}, own))
-    names = tuple(scenarios.load(name).name if ":" in name else name for name in names)
+    names = [scenarios.load(text).name if ":" in text else text for text in requested]
     for scenario in names:
         if scenario not in (*scenarios.names(), "all"):
             raise unknown("--scenario", scenario, (*scenarios.names(), "all"))
@@ -208,14 +192,16 @@ def benchmark(
         entries = [
             replace(e, name=name.replace(NAME, e.name), source=e.source + option) for e in entries
         ]
-    trained = any(entry.zero_shot for entry in entries)
+    trained = any(entry.training_scenario for entry in entries)
     if out is None:  # a folder holds one router of a name, and this one is for one scenario
         out = OUT.with_name(f"{OUT.name}-{alone}") if trained else OUT
     for key, most in bounds.items():
         what = f"a learner to train, and one scenario with {RULE_COST}"
         check(f"--training-{key}", trained, what)
         option = f" --training-{key} {most}"
-        entries = [replace(e, source=e.source + option * bool(e.zero_shot)) for e in entries]
+        entries = [
+            replace(e, source=e.source + option * bool(e.training_scenario)) for e in entries
+        ]
     run = Benchmark(
         chosen,
         entries,
@@ -239,3 +225,21 @@ def benchmark(
         show_benchmark(summaries)
         for path in files:
             click.echo(path)
+
+
+def _write_leaderboard(overrides: Sequence[str], folder: Path, page: Path, as_json: bool) -> None:
+    """Writes the leaderboard from a folder of result files, and prints what was written."""
+    from policies.experiment.leaderboard import write_leaderboard
+
+    context = click.get_current_context()
+    free = ("leaderboard", "out", "as_json", "allow_code")
+    beside = [
+        own.opts[0] if own.opts[0].startswith("-") else " ".join(overrides)
+        for own in context.command.params
+        if context.get_parameter_source(own.name or "") is ParameterSource.COMMANDLINE
+        and own.name not in free
+    ]
+    if beside:
+        raise InputError(f"--leaderboard: expected only --out with it, found {', '.join(beside)}")
+    files = write_leaderboard(folder, page)
+    print_result(as_json, "\n".join(map(str, files)), files=files)

@@ -79,7 +79,9 @@ def _keys(whole: Mapping[str, Any]) -> list[str]:
     return [".".join(keys) + "=" for keys, _ in leaves(whole)]
 
 
-def routers(ctx: click.Context, _: click.Parameter, incomplete: str) -> list[CompletionItem]:
+def complete_router(
+    ctx: click.Context, _: click.Parameter, incomplete: str
+) -> list[CompletionItem]:
     """Completes names of routers and learners, and where there may be one the path of a file."""
     from policies.routers.registry import router_names
 

@@ -14,7 +14,7 @@ from marouting import ProblemFile, Solution, evaluate
 from marouting.files import check_apart, check_writable, suffix_of
 from marouting.problem.contest import contest_cost
 from marouting.problem.guides import check_guide, read_record
-from policies.cli.options import FILE, as_text, json_option
+from policies.cli.options import FILE, json_option, json_text
 from policies.cli.source import problem_argument
 
 
@@ -102,7 +102,7 @@ def show_figures(
     fields |= contest_figures(solution)
     disconnected = fields.pop("open_nets")  # they come last
     if as_json:
-        click.echo(as_text({**fields, "open_nets": disconnected}))
+        click.echo(json_text({**fields, "open_nets": disconnected}))
         return
     width = max(map(len, fields))
     for name, value in fields.items():

@@ -34,13 +34,12 @@ from policies.cli.evaluate import evaluate_command
 from policies.cli.options import (
     FILE,
     allow_code_option,
-    as_text,
-    file_apart,
     json_option,
+    keep_stdout_for_results,
     options_of,
     overrides_argument,
-    results_alone,
-    tell,
+    print_result,
+    split_config,
 )
 from policies.cli.route import route
 from policies.cli.source import problem_argument
@@ -112,7 +111,7 @@ def cli(context: click.Context) -> None:
 
 
 @cli.command()
-@options_of(GeneratorOptions, but=("least", "reduced_capacity", "reduced_per"))
+@options_of(GeneratorOptions, without=("least", "reduced_capacity", "reduced_per"))
 @click.option("--out", type=FILE, required=True, help="Folder for the .gr files.")
 @json_option
 def generate(out: Path, as_json: bool, **options: Any) -> None:
@@ -141,7 +140,7 @@ def generate(out: Path, as_json: bool, **options: Any) -> None:
             problem.write(files[number])
             watch(number + 1, checked.count)
     count = f"{checked.count} problem{'s' if checked.count > 1 else ''}"
-    tell(as_json, f"{count} in {out}", out=out, count=checked.count, files=files)
+    print_result(as_json, f"{count} in {out}", out=out, count=checked.count, files=files)
 
 
 @cli.command()
@@ -177,7 +176,9 @@ def convert(
         loaded.write(out, cast(Format, format or "ispd2008"))
         if lost := ", ".join(loaded.beyond_text):
             click.echo(f"{out}: ISPD text does not hold: {lost}", err=True)
-        tell(as_json, f"{loaded.topology}, {nets} nets in {out}", out=out, grid=size, nets=nets)
+        print_result(
+            as_json, f"{loaded.topology}, {nets} nets in {out}", out=out, grid=size, nets=nets
+        )
         return
     routes = Solution.read(solution, loaded)
     routes.write(out, cast(RouteFormat | None, format))
@@ -185,7 +186,7 @@ def convert(
     if open_nets:
         click.echo(f"{len(open_nets)} open nets, whose routes are not connected", err=True)
     text = f"{nets} nets in {out}"
-    tell(as_json, text, out=out, grid=size, nets=nets, open_nets=open_nets)
+    print_result(as_json, text, out=out, grid=size, nets=nets, open_nets=open_nets)
 
 
 @cli.command("config")
@@ -210,7 +211,7 @@ def config_command(
     """
     from policies.cli.resolved import resolve, schema_of, text_of
 
-    config, overrides = file_apart(config, overrides)
+    config, overrides = split_config(config, overrides)
     if schema is not None:
         if config is not None or overrides:
             raise InputError("--schema: expected no configuration beside it")
@@ -241,7 +242,7 @@ def experiment(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
     from policies.cli.tables import show_experiment
     from policies.experiment import Experiment, load_experiment
 
-    results_alone()
+    keep_stdout_for_results()
     check_kind(config, "experiment")
     task = Experiment(load_experiment(config, overrides))
     with problems_bar(str(task.folder)) as watch:
@@ -273,11 +274,7 @@ def plot(paths: tuple[Path, ...], out: Path | None, as_json: bool) -> None:
         from policies.figures.plot import plot as draw
 
         drawn = list(draw(paths, out))
-    if as_json:
-        click.echo(as_text({"files": drawn}))
-        return
-    for path in drawn:
-        click.echo(path)
+    print_result(as_json, "\n".join(map(str, drawn)), files=drawn)
 
 
 @cli.command()

@@ -37,13 +37,13 @@ TRAINED = _Trained(path_type=Path)
 """The path of a trained policy or of its training's folder."""
 
 
-def options_of(schema: Any, but: Collection[str] = ()) -> Callable[[Any], Any]:
+def options_of(schema: Any, without: Collection[str] = ()) -> Callable[[Any], Any]:
     """Gives a command an option for every field of a dataclass, as the dataclass describes it."""
     about, hints = attributes(schema), hints_of(schema)
 
     def add(command: Any) -> Any:
         for own in reversed(fields(schema)):
-            if own.name not in but:
+            if own.name not in without:
                 text = about[own.name].replace("`", "")
                 if own.default is None:
                     text = text.replace(". None: ", ". Without it, ")
@@ -71,7 +71,7 @@ def _type_of(hint: Any) -> Any:
     return {int: click.INT, float: click.FLOAT}[kind]
 
 
-def results_alone() -> None:
+def keep_stdout_for_results() -> None:
     """Leaves standard output to results: what solvers print by themselves is an error message.
 
     HiGHS of SciPy 1.17 has a message that no option turns off.
@@ -111,7 +111,7 @@ def overrides_argument(complete: Complete) -> Callable[[Any], Any]:
     return click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...", shell_complete=complete)
 
 
-def file_apart(
+def split_config(
     config: Path | None, overrides: tuple[str, ...]
 ) -> tuple[Path | None, tuple[str, ...]]:
     """A file and its keys, where the file may have been left out and a key stands in its place."""
@@ -120,11 +120,11 @@ def file_apart(
     return config, overrides
 
 
-def tell(as_json: bool, text: str, **values: Any) -> None:
+def print_result(as_json: bool, text: str, **values: Any) -> None:
     """Prints what a command has done: a line of text, or its figures as one JSON object."""
-    click.echo(as_text(values) if as_json else text)
+    click.echo(json_text(values) if as_json else text)
 
 
-def as_text(values: Mapping[str, Any]) -> str:
+def json_text(values: Mapping[str, Any]) -> str:
     """A JSON object in one line, with paths as text."""
     return json.dumps(values, default=lambda v: v.tolist() if hasattr(v, "tolist") else str(v))

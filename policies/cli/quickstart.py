@@ -11,7 +11,7 @@ from marouting.generator import GeneratorOptions
 from marouting.options import Agents, EnvOptions
 from marouting.source import load_problem
 from policies import figures
-from policies.cli.options import as_text
+from policies.cli.options import json_text
 from policies.cli.progress import training_bar
 from policies.cli.tables import show
 from policies.figures.plot import reward_figures, run_figures
@@ -80,7 +80,7 @@ def run(out: Path, as_json: bool = False) -> None:
         "reward curve": out / "single" / "figures" / "reward.png",
     }
     if as_json:
-        click.echo(as_text({"out": out, "rows": rows, "files": list(pictures.values())}))
+        click.echo(json_text({"out": out, "rows": rows, "files": list(pictures.values())}))
         return
     show(rows, f"{nets} nets on {grid} Gcells")
     for what, path in pictures.items():

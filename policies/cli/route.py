@@ -15,15 +15,15 @@ from marouting.files import check_apart, check_suffix, check_writable
 from marouting.problem.contest import with_pins_covered
 from marouting.registry import names
 from marouting.yaml_files import override, read_yaml
-from policies.cli.completion import options_of_the_router, routers
+from policies.cli.completion import complete_router, options_of_the_router
 from policies.cli.evaluate import show_figures
 from policies.cli.options import (
     FILE,
     TRAINED,
     allow_code_option,
     json_option,
+    keep_stdout_for_results,
     overrides_argument,
-    results_alone,
 )
 from policies.cli.source import problem_argument
 from policies.interrupts import Held
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     metavar="NAME",
     default="astar",
     show_default=True,
-    shell_complete=routers,
+    shell_complete=complete_router,
     help=f"Router or learner: {', '.join(router_names())}, module:Class, or a trained policy: "
     "its file or its training's folder.",
 )
@@ -93,7 +93,7 @@ def route(
     """
     from policies.cli.progress import waiting, working
 
-    results_alone()
+    keep_stdout_for_results()
     policy = None if router in router_names() else policy_file(Path(router))
     found = policy is not None or not router.endswith(".pt")
     check(f"--router {router}", found, "a file or a folder, found none there")

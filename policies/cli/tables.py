@@ -157,8 +157,8 @@ def show_benchmark(summaries: Sequence[Mapping[str, Any]]) -> None:
         rows.sort(key=lambda row: (row["score"] is None, -(row["score"] or {"mean": 0})["mean"]))
         columns = {"router": [row["name"] for row in rows]}
         of_policies = "sight" in rows[0]
-        headings = leaderboard.POLICY_COLUMNS if of_policies else _BENCHMARK
-        cells = leaderboard.policy_cells if of_policies else leaderboard.cells_of
+        headings = leaderboard.POLICY_COLUMNS if of_policies else _PLANNER_COLUMNS
+        cells = leaderboard.policy_cells if of_policies else leaderboard.planner_cells
         columns |= zip(headings, map(list, zip(*map(cells, rows), strict=True)), strict=True)
         problems, seeds = rows[0]["problems"], max(row["seeds"] for row in rows)
         title = f"{problems} {rows[0]['split']} problems"
@@ -174,7 +174,7 @@ def show_benchmark(summaries: Sequence[Mapping[str, Any]]) -> None:
             click.echo(_wrapped(f"{plain} ?: not known. docs/{page}.md explains the protocol."))
 
 
-_BENCHMARK = ("score", "open", "overflow", "gap\n%", "at ref.\n%", "A*\nW/T/L", "seconds")
+_PLANNER_COLUMNS = ("score", "open", "overflow", "gap\n%", "at ref.\n%", "A*\nW/T/L", "seconds")
 """The headings of a benchmark's table."""
 
 

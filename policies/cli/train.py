@@ -15,10 +15,10 @@ from policies.cli.completion import file_or_keys, keys_of
 from policies.cli.options import (
     FILE,
     allow_code_option,
-    as_text,
-    file_apart,
     json_option,
+    json_text,
     overrides_argument,
+    split_config,
 )
 
 
@@ -50,7 +50,7 @@ def train(
     from policies.cli.tables import FEW, show, show_training
     from policies.results.run_folder import CHECKPOINT
 
-    config, overrides = file_apart(config, overrides)
+    config, overrides = split_config(config, overrides)
     if resume is not None and not exists(resume / "config.yaml"):
         raise InputError(f"--resume {resume}: expected a run folder, with a config.yaml in it")
     if config is not None:
@@ -75,7 +75,7 @@ def train(
             splits: dict[str, Any] = {r.split: r.as_dict(rows=False) for r in standing}
             if standing:
                 summary |= {**asdict(run.figures), "parameters": run.parameters}
-            click.echo(as_text({**summary, **splits}))
+            click.echo(json_text({**summary, **splits}))
             return
         if len(run.problems) > FEW:
             show_training(run, rows)

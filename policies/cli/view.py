@@ -11,10 +11,10 @@ from marouting import InputError, Problem, ProblemFile, Solution, evaluate, sequ
 from marouting.config import check
 from marouting.files import check_apart, check_writable, is_dir, stem_of, suffix_of, write_text
 from marouting.rules import TurnOrder
-from policies.cli.options import FILE, TRAINED, allow_code_option, json_option, tell
+from policies.cli.options import FILE, TRAINED, allow_code_option, json_option, print_result
 from policies.cli.source import problem_argument
 from policies.results.run_folder import solutions_by_name
-from policies.routers.registry import labelled, router_label
+from policies.routers.registry import by_label, router_label
 
 if TYPE_CHECKING:
     from marouting.render import Scene
@@ -95,11 +95,11 @@ def view(
     found = {} if checkpoint else _solutions(problem, loaded, solutions)
     if kind not in MOVING:
         if kind == PAGE:
-            write_text(out, page(loaded, labelled(found), problem.stem))
+            write_text(out, page(loaded, by_label(found), problem.stem))
         else:
-            figures.save(figures.comparison(labelled(found)), out)
+            figures.save(figures.comparison(by_label(found)), out)
         text = f"{len(found)} solution{'s' if len(found) > 1 else ''} in {out}"
-        tell(as_json, text, out=out, solutions=list(found))
+        print_result(as_json, text, out=out, solutions=list(found))
         return
     if checkpoint is None:
         if len(found) > 1:
@@ -116,7 +116,9 @@ def view(
             scenes, name = _policy(checkpoint, loaded, problem.stem, frames), checkpoint.stem
         save_animation(scenes, out, f"{problem.stem}: {router_label(name)}")
     count, caption = len(scenes), scenes[-1].caption
-    tell(as_json, f"{count} pictures in {out}: {caption}", out=out, pictures=count, caption=caption)
+    print_result(
+        as_json, f"{count} pictures in {out}: {caption}", out=out, pictures=count, caption=caption
+    )
 
 
 def _solutions(

@@ -39,7 +39,7 @@ def _start(cpus: int) -> None:
     handler = signal.getsignal(signal.SIGTERM)
     try:
         if where:
-            _knock(where)
+            _check_reachable(where)
         with environment(PYTHONPATH=paths, RAY_USAGE_STATS_ENABLED="0"):
             ray.init(**({} if where else own), log_to_driver=False, logging_level=logging.CRITICAL)
     except (ConnectionError, RuntimeError, ValueError, OSError, RayError) as error:
@@ -51,7 +51,7 @@ def _start(cpus: int) -> None:
             signal.signal(signal.SIGTERM, handler)  # Ray's own leaves with another status
 
 
-def _knock(where: str) -> None:
+def _check_reachable(where: str) -> None:
     """Raises OSError if nobody answers at host:port; Ray itself would try for minutes."""
     host, _, port = where.removeprefix("ray://").rpartition(":")
     if host and port.isdecimal():
@@ -77,8 +77,8 @@ class RayEngine:
     def __init__(self, jobs: int, threads: int) -> None:
         self._threads = threads
         self._running: dict[Any, int] = {}
-        self._mine = not ray.is_initialized()
-        if self._mine:
+        self._started_here = not ray.is_initialized()
+        if self._started_here:
             _start(jobs * threads)
         most = max((node["Resources"].get("CPU", 0) for node in _nodes()), default=0)
         if most < threads:
@@ -92,9 +92,9 @@ class RayEngine:
             raise InputError("device: expected cpu: this Ray has no GPU")
         variables = {"env_vars": dict.fromkeys(THREADS, str(self._threads))}
         task = ray.remote(max_retries=RETRIES, num_cpus=self._threads, runtime_env=variables)(_run)
-        known = ray.put((str(Path.cwd()), registered(), loaded(), code_allowed()))
+        context = ray.put((str(Path.cwd()), registered(), loaded(), code_allowed()))
         self._running = {
-            task.options(num_gpus=call.gpus).remote(call.function, known, *call.arguments): number
+            task.options(num_gpus=call.gpus).remote(call.function, context, *call.arguments): number
             for number, call in enumerate(calls)
         }
         while self._running:
@@ -109,7 +109,7 @@ class RayEngine:
         for task in self._running:
             with contextlib.suppress(RayError, ValueError):
                 ray.cancel(task, force=True)
-        if self._mine:
+        if self._started_here:
             ray.shutdown()
 
 
@@ -121,14 +121,14 @@ def _nodes() -> list[dict[str, Any]]:
 
 def _run(
     function: Any,
-    known: tuple[str, Sequence[tuple[str, str, str]], Sequence[str], bool | frozenset[str]],
+    context: tuple[str, Sequence[tuple[str, str, str]], Sequence[str], bool | frozenset[str]],
     *arguments: Any,
 ) -> Any:
     """A task; it works in the folder of the process that asked for it, as that one would.
 
     It knows the same components and scenarios by name, and files may name the same code.
     """
-    folder, components, scenarios, allowed = known
+    folder, components, scenarios, allowed = context
     for component in components:
         register(*component)
     try:

@@ -27,10 +27,10 @@ class LocalEngine:
     def __init__(self, jobs: int, threads: int) -> None:
         context = multiprocessing.get_context("spawn")
         # Nothing is ever sent: the processes wait for the only writing end to be closed.
-        self._lifeline, self._mine = context.Pipe(duplex=False)
+        self._lifeline, self._writer = context.Pipe(duplex=False)
         self._threads = threads
         self._pool = ProcessPoolExecutor(
-            jobs, context, _begin, (self._lifeline, registered(), loaded(), code_allowed())
+            jobs, context, _init_process, (self._lifeline, registered(), loaded(), code_allowed())
         )
 
     def run(self, calls: Sequence[Call]) -> Iterator[dict[int, Any]]:
@@ -52,7 +52,7 @@ class LocalEngine:
 
     def close(self) -> None:
         """Ends the processes at once."""
-        self._mine.close()
+        self._writer.close()
         self._pool.shutdown(cancel_futures=True)
         self._lifeline.close()
 
@@ -70,11 +70,11 @@ def _starting(threads: int) -> Iterator[None]:
             mask(signal.SIG_SETMASK, allowed)
 
 
-_to_the_end = contextlib.ExitStack()
+_for_life = contextlib.ExitStack()
 """What is in force as long as a process lives."""
 
 
-def _begin(
+def _init_process(
     lifeline: Connection,
     components: Sequence[tuple[str, str, str]],
     scenarios: Sequence[str],
@@ -84,17 +84,17 @@ def _begin(
 
     Files may name the same code.
     """
-    _to_the_end.enter_context(allowing_code(allowed))
+    _for_life.enter_context(allowing_code(allowed))
     for component in components:
         register(*component)
     for name in scenarios:
         load(name)
     # Ctrl-C goes to all processes of a terminal; the one that started the others handles it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
+    threading.Thread(target=_exit_when_closed, args=(lifeline,), daemon=True).start()
 
 
-def _end_with(lifeline: Connection) -> None:
+def _exit_when_closed(lifeline: Connection) -> None:
     """Waits until the other end is closed and ends this process."""
     with contextlib.suppress(EOFError, OSError):
         lifeline.recv_bytes()

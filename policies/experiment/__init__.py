@@ -7,6 +7,8 @@ folder of either:
 config.yaml                       the whole configuration, defaults included
 problems/SET/NAME.gr              the problems
 rows/SET/ROUTER[.seedN]/*.json    the rows of finished work, part by part
+rows/digests.json                 digests of the files and code that the rows depend on
+policies/SET/ROUTER[.seedN].json  what is known of a trained policy that was played
 runs/SET/ROUTER[.seedN]/*/        the run folders of trainings
 solutions/SET/NAME.ROUTER[.seedN].solution
 results.json, results.csv         all rows (:mod:`policies.results.rows`)

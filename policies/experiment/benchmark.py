@@ -35,6 +35,7 @@ from policies.experiment.config import (
     Split,
 )
 from policies.experiment.experiment import Experiment
+from policies.experiment.part import Part
 from policies.experiment.played import PLANNER, UNLEARNED, About
 from policies.experiment.result import Outcome, Result, Scale, Task
 from policies.results.rows import Row
@@ -256,9 +257,11 @@ class Benchmark(Experiment):
                 _ = scenarios.get(name)  # or an error
             sets = [f"{name}{tail}" for name in entry.only or names if name in names]
             for scenario in map(scenarios.get, names if entry.trains else ()):
-                fits = entry.zero_shot == scenario.name or not scenario.has_local_rule(split)
+                fits = entry.training_scenario == scenario.name or not scenario.has_local_rule(
+                    split
+                )
                 what = f"{scenario.name} alone with {entry.name}, which is trained for it"
-                check("--scenario", fits and (len(names) == 1 or not entry.zero_shot), what)
+                check("--scenario", fits and (len(names) == 1 or not entry.training_scenario), what)
             if sets:
                 routers[entry.name] = {**entry.plain, "only": sets if entry.only else None}
         super().__init__(
@@ -349,6 +352,9 @@ class Benchmark(Experiment):
             curve=self._curve(name, entry, tasks),
         )
 
+    def _parts_of(self, name: str, entry: Entry) -> list[Part]:
+        return [part for part in self.parts if (part.set, part.entry.name) == (name, entry.name)]
+
     def _scale(self, name: str) -> Scale | None:
         """How a set is scored if it is the split of a scenario of policies."""
         scenario = self.scenarios[name]
@@ -360,7 +366,7 @@ class Benchmark(Experiment):
         """What is known of an entry on a split of a scenario of policies: means over the seeds."""
         if not entry.plays:
             return build(About, {"sight": PLANNER, **(UNLEARNED if entry.routes else {})})
-        files = [p.about for p in self.parts if (p.set, p.entry.name) == (name, entry.name)]
+        files = [part.about_file for part in self._parts_of(name, entry)]
         found = [build_json(About, read_text(file, _ABOUT_BYTES), str(file)) for file in files]
         for file, one in zip(files, found, strict=True):
             for key in ("sight", "teacher", "parameters"):
@@ -391,15 +397,15 @@ class Benchmark(Experiment):
         """The learning curve of what was trained here, as far as there are scores."""
         if not entry.trains or any(task.reference is None for task in tasks.values()):
             return ()
-        if entry.zero_shot is not None:
-            runs = [p.run for p in self.parts if (p.set, p.entry.name) == (name, entry.name)]
-            return _validation_curve([validation_scores(run, entry.zero_shot) for run in runs])
+        if entry.training_scenario is not None:
+            runs = [part.run for part in self._parts_of(name, entry)]
+            return _validation_curve(
+                [validation_scores(run, entry.training_scenario) for run in runs]
+            )
         episodes = entry.options["train"]["episodes"]
         at = np.unique(np.geomspace(1, episodes, POINTS).round().astype(int))
         curves = []
-        for part in self.parts:
-            if (part.set, part.entry.name) != (name, entry.name):
-                continue
+        for part in self._parts_of(name, entry):
             best: dict[str, list[Figures]] = {problem: [] for problem in part.problems}
             for played in read_episodes(part.run / METRICS):
                 so_far = best[played.problem]

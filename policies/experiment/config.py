@@ -318,11 +318,11 @@ class Entry:
         if not self.routes:
             return False
         if is_learner(self.router):
-            return not self.trains or self.zero_shot is not None
+            return not self.trains or self.training_scenario is not None
         return is_policy(lookup("router", self.router))
 
     @property
-    def zero_shot(self) -> str | None:
+    def training_scenario(self) -> str | None:
         """The scenario on whose training problems it is trained; None for none."""
         scenario: str | None = self.options.get("scenario") if self.trains else None
         return scenario
@@ -344,7 +344,7 @@ class Entry:
         """What it may spend on a problem, in words; None if its options do not bound it."""
         if self.trains:
             train = self.options["train"]
-            if self.zero_shot is None:
+            if self.training_scenario is None:
                 return f"{train['episodes']} episodes"
             bounds = [] if train["steps"] is None else [f"{train['steps']} agent-steps"]
             bounds += [] if train["seconds"] is None else [f"{train['seconds']:g} s of training"]
@@ -374,7 +374,7 @@ class Entry:
         number = isinstance(training, int | float) and not isinstance(training, bool)
         fits = training is None or (number and 0 <= training < 2**63)
         check(f"{where}: training_seconds", fits, "a number from 0")
-        spent = None if budget is None else Budget.parse(str(budget))
+        allowance = None if budget is None else Budget.parse(str(budget))
         trains = seeded = False
         if router == PUBLISHED:
             options = asdict(build(Published, options, where))
@@ -385,14 +385,14 @@ class Entry:
         elif not isinstance(router, str):
             raise unknown(f"{where}: router", str(router), (*router_names(), PUBLISHED, SOLUTIONS))
         elif is_learner(router, f"{where}: router"):
-            options = spent.fill(router, options, where) if spent else options
+            options = allowance.fill(router, options, where) if allowance else options
             options = build(Training, options, where).resolved(router, where)
             trains = "checkpoint" not in options
             seeded = trains or _seeded(options)
         else:
             if "seed" in options and has_seed(router):
                 raise InputError(f"{where}: seed: expected none: set seeds of the experiment")
-            options = spent.fill(router, options, where) if spent else options
+            options = allowance.fill(router, options, where) if allowance else options
             seed = {"seed": 0} if has_seed(router) else {}
             made = router_component(router, {**options, **seed}, where)
             seeded = is_seeded(made) or _seeded(options)

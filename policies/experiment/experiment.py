@@ -53,19 +53,19 @@ class Experiment:
         self.config = config
         self.folder = Path(config.out)
         self.entries = config.entries
-        before = self._before()
+        before = self._read_stored()
         # In an order that does not depend on the source.
         self.sets = {name: dict(sorted(own.items())) for name, own in self._load(before).items()}
         for entry in self.entries:
             for name in entry.only or ():
                 if name not in self.sets:
                     raise unknown(f"routers.{entry.name}.only", name, tuple(self.sets))
-        self._keep(before)
+        self._write_inputs(before)
 
-    def _before(self) -> ExperimentConfig | None:
+    def _read_stored(self) -> ExperimentConfig | None:
         """What the folder holds, with the routers that are asked for; raises InputError."""
         kept = self.folder / CONFIG
-        self._kept: dict[str, Any] = {}
+        self._stored_routers: dict[str, Any] = {}
         if not exists(kept):
             check_own(self.folder, ("problems", CONFIG))
             return None
@@ -75,7 +75,7 @@ class Experiment:
         if not isinstance(routers, Mapping):
             raise InputError(f"{self.folder}: holds a training: expected another out=")
         asked = self.config.routers
-        self._kept = dict(routers)
+        self._stored_routers = dict(routers)
         entries = {name: entry for name, entry in routers.items() if name in asked} or asked
         with allowing_code_of(asked):
             check_code(entries, str(kept))
@@ -93,7 +93,7 @@ class Experiment:
     ) -> dict[str, dict[str, Any] | str]:
         """What must not change: the problems and options of sets and routers that are in both."""
         routers = {
-            name: {k: value for k, value in (options or {}).items() if k not in _FREE}
+            name: {k: value for k, value in (options or {}).items() if k not in _CHANGEABLE_KEYS}
             for name, options in asked.routers.items()
             if name in self.config.routers and name in before.routers
         }
@@ -116,7 +116,7 @@ class Experiment:
                 return load_sets(problems)
             found = sorted(path for path in folder.iterdir() if path.is_dir())
             kept = {path.name: load_problems(str(path)) for path in found}
-            for name, now in (_as_now(load_sets, problems) or {}).items():
+            for name, now in (_or_none(load_sets, problems) or {}).items():
                 self._check_kept(name, kept.get(name, {}), now)
             return kept
         held = {} if before is None else before.problems
@@ -129,7 +129,7 @@ class Experiment:
             if ScenarioSet.of(source):
                 self._check_kept(name, sets[name], load_set(name, source))
             elif not isinstance(source, Mapping) or "path" in source:
-                self._check_kept(name, sets[name], _as_now(load_set, name, source))
+                self._check_kept(name, sets[name], _or_none(load_set, name, source))
         return sets
 
     def _check_kept(
@@ -151,7 +151,7 @@ class Experiment:
                     "changed, give another out="
                 )
 
-    def _keep(self, before: ExperimentConfig | None) -> None:
+    def _write_inputs(self, before: ExperimentConfig | None) -> None:
         """Writes the new problems, and then the configuration of all that the folder holds."""
         for part in self.parts:
             for name in part.problems:
@@ -184,7 +184,7 @@ class Experiment:
             for problem in problems:
                 problems[problem].write(self.folder / "problems" / name / f"{problem}.gr")
         plain = asdict(self.config)
-        plain["routers"] = {**self._kept, **plain["routers"]}
+        plain["routers"] = {**self._stored_routers, **plain["routers"]}
         if before is not None and isinstance(before.problems, Mapping):
             plain["problems"] = {**before.problems, **plain["problems"]}
         text = yaml_text(json.loads(json.dumps(plain)))
@@ -256,7 +256,7 @@ class Experiment:
                 router and seed.
 
         Returns:
-            What ``summary.json`` holds.
+            What ``summary.json`` holds; of a benchmark ``files``, the paths of its result files.
         """
         with working_in(self.folder):
             left = self._left()
@@ -336,8 +336,7 @@ class Experiment:
             if part.entry.name not in names:
                 continue
             found = read_rows(part.rows)
-            about = {"set": part.set, "router": part.entry.name, "kind": part.entry.router}
-            own = [{**about, "seed": part.seed, "problem": name} for name in part.problems]
+            own = [{**part.columns, "seed": part.seed, "problem": name} for name in part.problems]
             if [{key: row[key] for key in own[0]} for row in found] != own:
                 raise InputError(
                     f"{part.rows}: expected rows of {part.set}, {part.label}, "
@@ -361,14 +360,14 @@ class Experiment:
 DIGESTS = "rows/digests.json"
 """Of files and code that the rows of an experiment depend on."""
 
-_FREE = ("only", "label", "training_seconds")
+_CHANGEABLE_KEYS = ("only", "label", "training_seconds")
 """Keys of entries that may change: no row depends on them."""
 
 
-def _as_now(load: Callable[..., Any], *of: Any) -> Any:
+def _or_none(load: Callable[..., Any], *arguments: Any) -> Any:
     """What is loaded; None if it cannot be."""
     try:
-        return load(*of)
+        return load(*arguments)
     except InputError:
         return None
 
@@ -391,10 +390,10 @@ def _shares(
 ) -> list[tuple[str, ...]]:
     """The problems of a set, in groups that one process does at a time."""
     where = f"routers.{entry.name}"
-    if entry.zero_shot is not None:
+    if entry.training_scenario is not None:
         found = None if scenario is None else scenario.scenario
-        what = f"{found}, whose problems it plays, found {entry.zero_shot}"
-        check(f"{where}.scenario", found == entry.zero_shot, what)
+        what = f"{found}, whose problems it plays, found {entry.training_scenario}"
+        check(f"{where}.scenario", found == entry.training_scenario, what)
     if scenario is None and entry.plays and not is_learner(entry.router):
         known = hasattr(lookup("router", entry.router), "route")
         what = f"a class with a method route: one with moves alone plays scenarios with {RULE_COST}"

@@ -252,7 +252,7 @@ def _line(row: Mapping[str, Any]) -> str:
     """A row of a table."""
     cells = [
         f"`{row['name']}`",
-        *cells_of(row),
+        *planner_cells(row),
         row["budget"] or "",
         str(row["seeds"]),
         _duration(row["seconds"]),
@@ -261,7 +261,7 @@ def _line(row: Mapping[str, Any]) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def cells_of(row: Mapping[str, Any]) -> list[str]:
+def planner_cells(row: Mapping[str, Any]) -> list[str]:
     """Score, open, overflow, gap, at reference, W/T/L and seconds of a summary, in words.
 
     Args:

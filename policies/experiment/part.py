@@ -77,7 +77,12 @@ class Part:
         return self.folder / "solutions" / self.set / f"{name}.{self.label}.solution"
 
     @property
-    def about(self) -> Path:
+    def columns(self) -> dict[str, Any]:
+        """What all rows say alike."""
+        return {"set": self.set, "router": self.entry.name, "kind": self.entry.router}
+
+    @property
+    def about_file(self) -> Path:
         """The file that says what is known of a policy that plays all problems at once."""
         return self.folder / "policies" / self.set / f"{self.label}.json"
 
@@ -120,20 +125,21 @@ class Part:
         """Routes the problems, writes the solutions, and then the rows."""
         try:
             if self.entry.router == PUBLISHED:
-                rows = self._quote()
+                rows = self._published_rows()
             elif self.scenario is not None and self.entry.plays:
-                rows = self._play(self.scenario)
+                rows = self._played_rows(self.scenario)
             elif self.entry.trains:
-                rows = self._train()
+                rows = self._trained_rows()
             else:
-                rows = [self._route(name) for name in self.problems]
+                rows = [self._routed_row(name) for name in self.problems]
         except InputError as error:
             raise InputError(f"{self.set}, {self.label}: {error}") from None
         except Exception as error:  # of the user's code: a traceback shows where
             error.add_note(f"while {self.label} worked on {self.set}")
             raise
-        about = {"set": self.set, "router": self.entry.name, "kind": self.entry.router}
-        full = [{**dict.fromkeys(COLUMNS), **row, **about, "seed": self.seed} for row in rows]
+        full = [
+            {**dict.fromkeys(COLUMNS), **row, **self.columns, "seed": self.seed} for row in rows
+        ]
         write_text(self.rows, json.dumps(full, indent=1) + "\n")
 
     def check(self, problems: Mapping[str, Problem]) -> None:
@@ -143,11 +149,11 @@ class Part:
             problems: all problems of the set, by name.
         """
         if self.entry.router == PUBLISHED:
-            self._quote()
+            self._published_rows()
         elif self.entry.router == SOLUTIONS:
             for name, problem in problems.items():
                 self._external(name, problem)
-        elif self.entry.zero_shot is not None:
+        elif self.entry.training_scenario is not None:
             _ = self._training()
         elif self.scenario is not None and self.entry.plays:
             _ = self._policy()
@@ -167,16 +173,16 @@ class Part:
         else:
             _ = self._router("")
 
-    def _quote(self) -> list[Row]:
+    def _published_rows(self) -> list[Row]:
         """The rows of a published router; raises InputError if one is missing."""
         published = Published(**self.entry.options)
         found = published.read()
-        known = self.set, self.set.removesuffix(".validation")
+        sets = self.set, self.set.removesuffix(".validation")
         rows = []
         for name in self.problems:
-            key = next(((problem, name) for problem in known if (problem, name) in found), None)
+            key = next(((own, name) for own in sets if (own, name) in found), None)
             if key is None:
-                raise InputError(f"{published.file}: expected a row for {known[-1]},{name}")
+                raise InputError(f"{published.file}: expected a row for {sets[-1]},{name}")
             overflow, wirelength = found[key]
             figures = {"overflow": overflow, "wirelength": wirelength}
             rows.append({"problem": name, **figures, "proven": published.optimal})
@@ -197,40 +203,40 @@ class Part:
             )
         return Solution.read(folder / files[0], problem)
 
-    def _route(self, name: str) -> Row:
+    def _routed_row(self, name: str) -> Row:
         problem = Problem.read(self.problem(name))
         report: Mapping[str, Any] = {}
         seconds: float | None = None
         if self.entry.router == SOLUTIONS:
-            solution = self._finished(self._external(name, problem))
+            solution = self._pruned_if_set(self._external(name, problem))
         else:
             router = self._router(name)
             self._warm_up(router)
             started = time.perf_counter()
             solution, report = solve(router, problem)
-            solution = self._finished(solution)
+            solution = self._pruned_if_set(solution)
             seconds = time.perf_counter() - started
         solution.write(self.solution(name))
         proven = report["status"] == "optimal" if "status" in report else None
         row = {"problem": name, **solution_row(solution, seconds), "proven": proven}
         return {**row, "from": report.get("from")}
 
-    def _play(self, scenario: ScenarioSet) -> list[Row]:
+    def _played_rows(self, scenario: ScenarioSet) -> list[Row]:
         """The rows of a policy that plays all problems at once; writes what is known of it."""
         if self.entry.trains:
-            self._run()
+            self._train()
         policy = self._policy()
         started = time.perf_counter()
         engine, about = play(policy, scenario.scenario, scenario.split)
         seconds = (time.perf_counter() - started) / len(self.problems)
         rows = []
         for m, name in enumerate(self.problems):
-            solution = self._finished(engine.solution(m))
+            solution = self._pruned_if_set(engine.solution(m))
             solution.write(self.solution(name))
             metrics = engine.metrics(m)
             played = {"joined": metrics.joined, "tasks": metrics.tasks}
             rows.append({"problem": name, **solution_row(solution, seconds), **played})
-        write_text(self.about, json.dumps(asdict(about), indent=1) + "\n")
+        write_text(self.about_file, json.dumps(asdict(about), indent=1) + "\n")
         return rows
 
     def _policy(self) -> LocalRouter | MovesPolicy:
@@ -242,7 +248,7 @@ class Part:
         trained = self.run / run_folder.POLICY
         return TrainedPolicy.load(trained if self.entry.trains else self.options["checkpoint"])
 
-    def _finished(self, solution: Solution) -> Solution:
+    def _pruned_if_set(self, solution: Solution) -> Solution:
         """A solution as it is judged."""
         return solution.pruned() if self.entry.prune else solution
 
@@ -261,7 +267,7 @@ class Part:
             warm_up(router)
             _warm.add(self.entry.name)
 
-    def _run(self) -> None:
+    def _train(self) -> None:
         """Trains in the run folder, or goes on there."""
         from policies.learned.router import LearnedRouter
         from policies.learned.run import Run
@@ -272,31 +278,31 @@ class Part:
                 config = load_config(kept) if kept.exists() else self._training()
             # The folder may have been renamed since the training was started.
             config = replace(config, out=str(self.run))
-            if not kept.exists() and self.entry.zero_shot is None:
+            if not kept.exists() and self.entry.training_scenario is None:
                 self._warm_up(LearnedRouter(config))
             Run(config, resume=kept.exists()).execute()
         # The checkpoint of a finished training is large and of no use.
         (self.run / run_folder.CHECKPOINT).unlink(missing_ok=True)
 
-    def _train(self) -> list[Row]:
-        self._run()
+    def _trained_rows(self) -> list[Row]:
+        self._train()
         found = run_folder.read_result(self.run)
         rows = [row for row in found if row["router"] == self.entry.router]
         for row in rows:
             name = row["problem"]
             problem = Problem.read(self.problem(name))
             file = run_folder.solution_file(self.run, name, self.entry.router)
-            solution = self._finished(Solution.read(file, problem))
+            solution = self._pruned_if_set(Solution.read(file, problem))
             row |= figures_of(solution)
             solution.write(self.solution(name))
         return rows
 
     def _training(self) -> Config:
         parts = {key: dict(self.entry.options[key]) for key in PARTS}
-        if self.entry.zero_shot is None:
+        if self.entry.training_scenario is None:
             parts["env"]["problem"] = [str(self.problem(name)) for name in self.problems]
         else:
-            parts["env"]["scenario"] = self.entry.zero_shot
+            parts["env"]["scenario"] = self.entry.training_scenario
         return build(Config, {"seed": self.seed, **parts})
 
 

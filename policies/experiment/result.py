@@ -31,7 +31,7 @@ MOST_BYTES = 2**26
 CLOSE = 1e-6
 """How far a score in a file may be from what its figures give."""
 
-Share = Annotated[float, between(-3, 4)]
+Score = Annotated[float, between(-3, 4)]
 """A score."""
 
 
@@ -89,7 +89,7 @@ class Outcome:
     wirelength: Count
     vias: Count | None = None
     seconds: Seconds | None = None
-    score: Share | None
+    score: Score | None
     open_tasks: Count | None = None
 
     @staticmethod

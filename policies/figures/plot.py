@@ -27,7 +27,7 @@ from policies.results.statistics import (
     mean_over_seeds,
 )
 from policies.routers.astar import AStarRouter
-from policies.routers.registry import labelled, router_label, router_names
+from policies.routers.registry import by_label, router_label, router_names
 
 
 def reward_figures(metrics: Path, folder: Path) -> list[Path]:
@@ -75,7 +75,7 @@ def problem_figures(
         for kind, figure in draw.items():
             write(figure(problem, solution, router_label(name)), f"{stem}_{kind}")
     if len(solutions) > 1:
-        write(figures.comparison(labelled(solutions)), "comparison")
+        write(figures.comparison(by_label(solutions)), "comparison")
     return written
 
 

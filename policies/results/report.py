@@ -10,7 +10,7 @@ from marouting import Problem, Solution, evaluate
 from marouting.problem.grid import AXES, VIA_AXIS, distinct
 from marouting.trees.decomposition import Decomposition, tasks_between
 from marouting.trees.steiner import EXACT_PINS
-from policies.results.utilisation import edge_groups, histogram_counts
+from policies.results.utilisation import EdgeGroups, edge_groups, histogram_counts
 
 MOST_SPOTS = 10
 """Hot spots, and detours, that a report lists."""
@@ -51,19 +51,18 @@ def report(solution: Solution) -> dict[str, Any]:
         "vias": judged.vias,
         "connected": judged.connected,
         "open_nets": list(judged.disconnected),
-        "layers": list(_layers(problem, solution)),
+        "layers": list(_layers(problem, solution, groups)),
         "hot_spots": list(_hot_spots(problem, solution)),
         "detours": _detours(problem, solution, set(judged.disconnected)),
         "histogram": _histogram(problem, solution),
     }
 
 
-def _layers(problem: Problem, solution: Solution) -> Iterator[dict[str, Any]]:
+def _layers(problem: Problem, solution: Solution, groups: EdgeGroups) -> Iterator[dict[str, Any]]:
     chip = problem.chip_or_default
     layers = problem.grid[2]
     _, edge = solution.uses
     layer, axis = edge // AXES % layers, edge % AXES
-    groups = edge_groups(problem, solution)
     # Groups of edges that are not in use nor adjusted come last, by layer and axis.
     layer_of = np.where(
         groups.edge >= 0,

@@ -85,11 +85,10 @@ def free_tracks(problem: Problem, most: int = MOST_FIELDS) -> NDArray[np.float64
     x, y = np.divmod(adjusted // (AXES * layers), rows)
     place = (layer, axis, x // side, y // side)
     share = np.minimum(100 * capacity / whole[layer, axis], 100)
-    if side == 1:
-        found[place] = share
-    else:
+    if side > 1:
         np.fmin.at(found, place, share)
-    if side == 1:  # the last edges of a row lead off the grid: their fields look as those before
+    else:  # the last edges of a row lead off the grid: their fields look as those before
+        found[place] = share
         found[:, 0, -1] = found[:, 0, max(0, columns - 2)]
         found[:, 1, :, -1] = found[:, 1, :, max(0, rows - 2)]
     shown: NDArray[np.float64] = np.fmin.reduce(found, axis=1)

@@ -16,7 +16,7 @@ from marouting import Engine, Problem, Solution
 from marouting.batch.edges import may_cross, uses
 from marouting.batch.rules import free_moves, move_player, settle_player
 from marouting.batch.state import Dynamic, Option, Static
-from marouting.batch.tasks import holds
+from marouting.batch.tasks import holds, is_on
 from marouting.config import MOST, check
 from marouting.game import NOBODY, Status
 from marouting.kernels import as_index, compiled, i64
@@ -245,7 +245,7 @@ def _greedy(static: Static, dynamic: Dynamic, m: int, n: int, free: int) -> int:
         if uses(dynamic.used, m, n, edge):
             room = i64(1001)
         ahead = as_index(static.neighbour[cell, candidate])
-        across, up = i64(0), i64(0)
+        across = i64(0)
         for axis in range(VIA_AXIS):
             across += abs(i64(static.position[ahead, axis]) - i64(static.position[target, axis]))
         up = abs(i64(static.position[ahead, VIA_AXIS]) - i64(static.position[target, VIA_AXIS]))
@@ -294,7 +294,7 @@ def _shortest(
     start, target = as_index(agent.cell), as_index(agent.target)
     gcells = len(b.cost)
     price = _price(static, dynamic, view, m, n)
-    visited = static.extended is not None and static.options[Option.MASK_VISITED] != 0
+    visited = static.extended is not None and is_on(static, Option.MASK_VISITED)
     for cell in range(gcells):
         b.cost[cell] = _FAR
     b.cost[start] = 0

@@ -41,10 +41,10 @@ def router_label(name: str) -> str:
     return _LABELS.get(name, name)
 
 
-def labelled(of: Mapping[str, Found]) -> dict[str, Found]:
+def by_label(items: Mapping[str, Found]) -> dict[str, Found]:
     """Things of routers by what figures call these; by their names if two were called alike."""
-    called = {router_label(name): thing for name, thing in of.items()}
-    return dict(of) if len(called) < len(of) else called
+    called = {router_label(name): thing for name, thing in items.items()}
+    return dict(items) if len(called) < len(items) else called
 
 
 def unknown(what: str, found: str, known: tuple[str, ...]) -> InputError:

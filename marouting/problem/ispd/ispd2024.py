@@ -126,7 +126,7 @@ def _read_resources(path: str | os.PathLike[str]) -> tuple[tuple[str, ...], Cont
     """The names of the layers, and what else a ``.cap`` file holds."""
     with reading(path) as lines:
         numbers = _Numbers(lines)
-        layers, columns, rows = numbers.whole("numbers of layers, columns and rows", 3)
+        layers, columns, rows = numbers.whole_line("numbers of layers, columns and rows", 3)
         if not min(layers, columns, rows) >= 1 or layers * columns * rows > MAX_GCELLS:
             raise InputError(
                 "expected numbers of layers, columns and rows from 1, "
@@ -204,8 +204,8 @@ class _Numbers:
             _floats("weights", [token.removeprefix("-") for token in self._tokens[at : at + 4]])
             del self._tokens[at : at + 4]
 
-    def whole(self, what: str, count: int) -> list[int]:
-        """The next ``count`` whole numbers."""
+    def whole_line(self, what: str, count: int) -> list[int]:
+        """The next line, which must be ``count`` whole numbers."""
         tokens = self._lines.next()
         if len(tokens) != count or not all(map(is_number, tokens)):
             raise unexpected(f"{what}, {count} whole numbers", tokens)

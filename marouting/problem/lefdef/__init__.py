@@ -7,7 +7,8 @@ Capacity comes from the tracks, less those that shapes block:
   tiles, the last Gcell of a row takes what is left. Fields may differ in size; the problem has them
   all alike, with pins in their middle, and :class:`marouting.problem.chip.Chip` keeps the lines.
 * A layer's wires go along its preferred direction only, on the tracks of the DEF, or by the LEF's
-  pitch where it has none. Every net takes one track.
+  pitch where it has none. A net takes one track, or more by its
+  nondefault rule.
 * An edge's **capacity** is the number of tracks in its row of Gcells on which a wire can go from
   the middle of one Gcell to the middle of the next and keep its distance from all pins,
   obstructions, special nets and blockages: half the layer's width and its spacing.

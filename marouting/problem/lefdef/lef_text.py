@@ -94,8 +94,8 @@ class Library:
             raise InputError(f"layer {name}: {hint}expected a routing layer of the LEF files")
 
 
-_NAMED = {"VIARULE", "SITE", "ARRAY"}
-_CLOSED = {
+_END_WITH_NAME = {"VIARULE", "SITE", "ARRAY"}  # blocks that end with END and their name
+_END_WITH_KEYWORD = {  # blocks that end with END and the keyword
     "UNITS", "SPACING", "IRDROP", "PROPERTYDEFINITIONS", "NOISETABLE", "CORRECTIONTABLE",
 }  # fmt: skip
 is_keyword = re.compile("[A-Za-z][A-Za-z0-9_]*").fullmatch
@@ -123,9 +123,9 @@ def read_library(path: str | os.PathLike[str], library: Library, copy: Copy) -> 
                 words.skip_to("END", name)
             elif word == "NONDEFAULTRULE":
                 _read_rule(words, library, os.fspath(path))
-            elif word in _NAMED:
+            elif word in _END_WITH_NAME:
                 words.skip_to("END", words.word())
-            elif word in _CLOSED:
+            elif word in _END_WITH_KEYWORD:
                 words.skip_to("END", word)
             elif word == "BEGINEXT":
                 words.skip_to("ENDEXT")

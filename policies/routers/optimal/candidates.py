@@ -107,7 +107,9 @@ class Candidates:
         price = np.full((*grid, AXES), NEVER)
         price.reshape(-1)[edges] = 1
         window = Window.around(grid, np.concatenate(self.problem.topology.ends(edges)), 0)
-        return window.outside(cheapest_priced_tree(window.cut(price), window.inside(pins))[1])
+        return window.edges_in_grid(
+            cheapest_priced_tree(window.cut(price), window.gcells_in_window(pins))[1]
+        )
 
     def half_perimeters(self) -> NDArray[np.int64]:
         """(N,) int64, a length that no tree of a net is below: that of half the box of its pins."""

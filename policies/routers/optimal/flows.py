@@ -15,7 +15,7 @@ from scipy.sparse import block_diag, csr_array, eye_array, vstack
 
 from marouting.problem.grid import AXES, VIA_AXIS
 from policies.routers.optimal.candidates import Candidates, Score
-from policies.routers.optimal.priced_tree import Across
+from policies.routers.optimal.priced_tree import TreesByEdge
 from policies.routers.optimal.prices import UNIT, Prices
 from policies.routers.optimal.programs import (
     Columns,
@@ -125,12 +125,14 @@ class Flows:
                 break
             most = proof.least[i] + target * UNIT - proof.bound
             window = self._prices.window(objective, i, most)
-            across = Across(window.cut(price[candidates.kind[i]]), window.inside(pins))
+            across = TreesByEdge(
+                window.cut(price[candidates.kind[i]]), window.gcells_in_window(pins)
+            )
             low = np.flatnonzero(across.cost // unit <= most)
-            edges.append(window.outside(low))
+            edges.append(window.edges_in_grid(low))
             if target == bound:
                 for edge in self._deadline.while_left(low):
-                    tree = window.outside(across.tree(int(edge)))
+                    tree = window.edges_in_grid(across.tree(int(edge)))
                     candidates.add(i, candidates.prune(i, tree))
         return edges
 

@@ -192,7 +192,7 @@ def cheapest_priced_tree(
     return cost, np.unique(tables.tree(len(tables.cost) - 1, int(pins[-1])))
 
 
-class Across:
+class TreesByEdge:
     """For every edge the cheapest tree that joins the pins and uses that edge.
 
     Args:
@@ -253,12 +253,12 @@ class Window:
         part[:, -1, :, 1] = NEVER
         return part
 
-    def inside(self, gcells: NDArray[np.int64]) -> NDArray[np.int64]:
+    def gcells_in_window(self, gcells: NDArray[np.int64]) -> NDArray[np.int64]:
         """Numbers in the window of Gcells (n,) in it, given by their numbers in the grid."""
         x, y, z = np.unravel_index(gcells, self.grid)
         return np.ravel_multi_index((x - self.low[0], y - self.low[1], z), self.shape)
 
-    def outside(self, edges: NDArray[np.int64]) -> NDArray[np.int64]:
+    def edges_in_grid(self, edges: NDArray[np.int64]) -> NDArray[np.int64]:
         """Numbers in the grid of edges (n,) given by their numbers in the window."""
         gcell, axis = np.divmod(edges, AXES)
         x, y, z = np.unravel_index(gcell, self.shape)

@@ -143,7 +143,7 @@ class Prices:
         pairs = zip(candidates.kind, candidates.pins, strict=True)
         for kind, pins in self._deadline.while_left(pairs):
             box = Window.around(grid, pins, 0)
-            least.append(cheapest_priced_tree(box.cut(price[kind]), box.inside(pins))[0])
+            least.append(cheapest_priced_tree(box.cut(price[kind]), box.gcells_in_window(pins))[0])
         return least + (UNIT * candidates.half_perimeters()[len(least) :]).tolist()
 
     def _price_trees(self, objective: Objective, dual: NDArray[np.int64]) -> bool:
@@ -166,13 +166,13 @@ class Prices:
         for i, pins in self._deadline.while_left(enumerate(candidates.pins)):
             window = self.window(objective, i, most[i])
             own = window.cut(price[candidates.kind[i]])
-            cost, tree = cheapest_priced_tree(own, window.inside(pins))
+            cost, tree = cheapest_priced_tree(own, window.gcells_in_window(pins))
             if cost >= NEVER:
                 self.proofs[objective] = Proof(math.inf, dual, [])
                 return False
             least.append(cost // unit)
             if candidates.complete(i):
-                new |= candidates.add(i, window.outside(tree))
+                new |= candidates.add(i, window.edges_in_grid(tree))
         if len(least) < len(candidates.pins):
             if objective in self.proofs:
                 return False

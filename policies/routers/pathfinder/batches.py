@@ -31,7 +31,14 @@ from policies.routers.pathfinder.state import (
     widened,
     with_larger_pool,
 )
-from policies.routers.pathfinder.trees import adopt, compact, is_settled, overflows, plan, use_tree
+from policies.routers.pathfinder.trees import (
+    assign_tree,
+    compact,
+    is_settled,
+    overflows,
+    plan,
+    use_tree,
+)
 
 MANY = 20_000
 """With more nets than these, they are planned in batches; otherwise they take turns."""
@@ -147,7 +154,7 @@ def _plan_some(
 
 
 @compiled
-def _adopt_all(
+def _assign_planned(
     problem: ProblemArrays, routing: Routing, batch: Batch, edges: Any, begin: int, end: int
 ) -> int:
     """Carries out plans in order; returns the first that the pool lacks room for, or ``end``."""
@@ -155,7 +162,7 @@ def _adopt_all(
         net, first, last = batch.net[i], batch.first[i], batch.last[i]
         code = POOL_TOO_SMALL
         while code != DONE:
-            code = adopt(problem, routing, net, edges, first, last, batch.exact[i])
+            code = assign_tree(problem, routing, net, edges, first, last, batch.exact[i])
             if code == POOL_TOO_SMALL and not compact(routing):
                 return i
     return end
@@ -231,7 +238,7 @@ def advance_batch(
     batch.last[:end] += begin
     planned = 0
     while planned < end:
-        planned = _adopt_all(problem, routing, batch, edges, planned, end)
+        planned = _assign_planned(problem, routing, batch, edges, planned, end)
         if planned < end:
             routing = with_larger_pool(routing, 2 * int(routing.progress["need"][0]))
     return routing

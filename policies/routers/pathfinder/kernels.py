@@ -438,7 +438,7 @@ def _other_end(
     buffers: NetBuffers,
     key: int,
     move: int,
-    worn: bool,
+    overflowed_only: bool,
 ) -> int:
     """The key to which a path leads that leaves another by a move; -1 if it does not count."""
     tree, stride, pin, low = lattice.tree, lattice.stride, buffers.pin, buffers.low
@@ -446,7 +446,7 @@ def _other_end(
     row = key // nz
     gcell = (low[0] + row // ny) * problem.size[1] + low[1] + row % ny
     gcell = gcell * problem.size[2] + low[2] + key - row * nz
-    point, counts = key, not worn
+    point, counts = key, not overflowed_only
     while True:
         beside, step = point + stride[move], 1 - 2 * (move & 1)
         if move < 2:
@@ -540,10 +540,12 @@ def _rejoin(routing: Routing, memory: Memory, one: int, other: int, keys: int) -
 
 
 @compiled
-def mend(problem: ProblemArrays, routing: Routing, memory: Memory, root: int, worn: bool) -> None:
+def improve_paths(
+    problem: ProblemArrays, routing: Routing, memory: Memory, root: int, overflowed_only: bool
+) -> None:
     """Replaces each path between two keys of a tree, once, by a cheapest one.
 
-    Keys are pins and the points where the tree branches. If the tree is ``worn``, only paths that
+    Keys are pins and the points where the tree branches. With ``overflowed_only``, only paths that
     overflow are replaced.
     """
     lattice, search, buffers = memory
@@ -561,7 +563,9 @@ def mend(problem: ProblemArrays, routing: Routing, memory: Memory, root: int, wo
             continue
         if not buffers.pin[key] and _degree(lattice.tree[key]) < 3:
             continue  # no longer a branching point
-        end = _other_end(problem, routing.remaining, lattice, buffers, key, i64(move), worn)
+        end = _other_end(
+            problem, routing.remaining, lattice, buffers, key, i64(move), overflowed_only
+        )
         if end < 0 or _is_listed(buffers.key, place // MOVES, end):
             continue
         point = _cut(lattice, buffers, key, i64(move))

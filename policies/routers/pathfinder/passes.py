@@ -3,7 +3,7 @@
 from marouting.kernels import compiled, i64
 from policies.routers.pathfinder.kernels import draw
 from policies.routers.pathfinder.patterns import route_pattern
-from policies.routers.pathfinder.repair import begin_pass, repair
+from policies.routers.pathfinder.repair import begin_repair_pass, repair
 from policies.routers.pathfinder.state import (
     DONE,
     NEGOTIATE,
@@ -37,7 +37,7 @@ def go_on(problem: ProblemArrays, routing: Routing, memory: Memory) -> int:
         link_all(routing)
         return DONE
     if progress.kind == REPAIR and progress.next == 0:
-        begin_pass(problem, routing)
+        begin_repair_pass(problem, routing)
     while progress.next < len(routing.order):
         if search.tally[1] > progress.until:
             return PAUSED

@@ -124,7 +124,7 @@ def _relax(columns: Columns, dual: Dual, iterations: int) -> float:
     for _ in range(iterations):
         for edge in range(edges):
             next_load[edge] = 0.0
-        moved = 0.0
+        share_change = 0.0
         for net in range(len(latest)):
             # A step down the prices, then to the nearest shares that sum to 1 (Held, Wolfe and
             # Crowder, "Validation of subgradient optimization", Mathematical Programming 6, 1974).
@@ -152,18 +152,18 @@ def _relax(columns: Columns, dual: Dual, iterations: int) -> float:
             column = i64(latest[net])
             while column >= 0:
                 value = max(next_share[column] - shift, 0.0)
-                moved += (value - share[column]) ** 2
+                share_change += (value - share[column]) ** 2
                 share[column] = value
                 if value > 0:
                     for i in range(first[column], first[column + 1]):
                         next_load[edge_of[i]] += take[i] * value
                 column = i64(before[column])
-        turned, cross = 0.0, 0.0
+        price_change, cross = 0.0, 0.0
         for edge in range(edges):
             ahead = 2 * next_load[edge] - load[edge] - capacity[edge]
             value = min(max(price[edge] + step * _RATIO * ahead, 0.0), 1.0)
             change = value - price[edge]
-            turned += change * change
+            price_change += change * change
             cross += change * (next_load[edge] - load[edge])
             price[edge] = value
             total[edge] += value
@@ -171,7 +171,7 @@ def _relax(columns: Columns, dual: Dual, iterations: int) -> float:
         # The step is as long as convergence allows (Applegate and others, "Practical large-scale
         # linear programming using primal-dual hybrid gradient", NeurIPS 2021).
         if cross != 0:
-            limit = (_RATIO * moved + turned / _RATIO) / (2 * abs(cross))
+            limit = (_RATIO * share_change + price_change / _RATIO) / (2 * abs(cross))
             step = min(0.95 * limit, 1.05 * step)
     dual.step[0] = step
     overflow = 0.0
@@ -186,16 +186,16 @@ class Relaxation:
     Args:
         problem: the problem.
         routing: the search, as it begins.
-        worth: what the highest price adds to the cost of an edge, in edges.
+        price_scale: what the highest price adds to the cost of an edge, in edges.
 
     Attributes:
         scarce: whether the last prices tell where tracks are scarce.
     """
 
-    def __init__(self, problem: ProblemArrays, routing: Routing, worth: float) -> None:
+    def __init__(self, problem: ProblemArrays, routing: Routing, price_scale: float) -> None:
         nets, edges = len(problem.first) - 1, len(problem.capacity)
         columns, places = _TREES * len(routing.order), _TREES * len(routing.edge) // 4
-        self._problem, self._worth = problem, worth
+        self._problem, self._price_scale = problem, price_scale
         self.scarce = True
         self._columns = Columns(
             filled=np.zeros(2, np.int64),
@@ -242,7 +242,7 @@ class Relaxation:
             return False
         self.scarce = overflow >= _LEAST
         if self.scarce:
-            routing.price[:] = self._dual.total * (self._worth * UNIT / self._averaged)
+            routing.price[:] = self._dual.total * (self._price_scale * UNIT / self._averaged)
         return True
 
     def collect(self, routing: Routing) -> None:

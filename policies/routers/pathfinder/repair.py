@@ -30,7 +30,7 @@ grows from one net to the next."""
 
 
 @compiled
-def begin_pass(problem: ProblemArrays, routing: Routing) -> None:
+def begin_repair_pass(problem: ProblemArrays, routing: Routing) -> None:
     """Begins a pass, which reroutes as many nets as overflow or take a detour."""
     progress, count = routing.progress[0], 0
     for net in routing.order:

@@ -51,7 +51,7 @@ class PathfinderRouter:
         self._search: Search | None = None
 
     def warm_up(self, problem: Problem) -> None:
-        """Compiles what routing needs, by a problem to which ``start`` is no solution."""
+        """Compiles what routing needs by routing a problem, of which ``start`` is no solution."""
         passes = min(self.options.passes, _WARM)
         options = replace(
             self.options,
@@ -123,7 +123,7 @@ class _Stages:
         while True:
             yield from self._negotiate()
             yield from self._squeeze()
-            if search.found > begun:
+            if search.best_pass > begun:
                 stale = 0
             else:
                 far = search.rank[0] > search.best_rank[0]
@@ -134,14 +134,14 @@ class _Stages:
                 stale = 0
             self._lower_prices()
             begun = len(search.history)
-            if repaired and begun >= options.patience_factor * max(search.found, _EARLY):
+            if repaired and begun >= options.patience_factor * max(search.best_pass, _EARLY):
                 return
             yield from self._relax(prices=options.lp_passes if search.best_rank[0] > 0 else 0)
 
     def _relax(self, prices: int) -> Iterator[int]:
         """Reroutes every net: once, or so many times at new prices of the linear program."""
         search = self._search
-        search.forget_overflow()
+        search.clear_overflow()
         first = self._rounds == 0
         for _ in range(max(prices, 1)):
             if prices > 0 and search.best_rank[0] > 0 and search.relaxation is not None:
@@ -156,7 +156,7 @@ class _Stages:
     def _negotiate(self) -> Iterator[int]:
         """Reroutes nets that overflow, at rising prices, as long as overflow falls."""
         search, options = self._search, self._options
-        while search.rank[0] > 0 and search.stuck < options.stall_passes:
+        while search.rank[0] > 0 and search.stalled_passes < options.stall_passes:
             self._raise_prices()
             yield NEGOTIATE
             due = len(search.history) == options.lp_after_pass and options.lp_passes > 0
@@ -183,7 +183,7 @@ class _Stages:
         while stale < self._options.repair_stall_passes:
             passes = len(search.history)
             yield REPAIR
-            stale = 0 if search.found > passes else stale + 1
+            stale = 0 if search.best_pass > passes else stale + 1
         search.progress["linked"] = 0
 
     @property

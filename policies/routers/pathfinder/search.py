@@ -85,8 +85,8 @@ class Search:
         history: the passes so far.
         rank: overflow in tracks and length in units of cost after the last pass.
         best_rank: that of the best solution so far.
-        found: how many passes there were when it was found.
-        stuck: how many passes there have been since the overflow last fell in this round.
+        best_pass: how many passes there were when it was found.
+        stalled_passes: how many passes there have been since the overflow last fell in this round.
         relaxation: the linear program; None: there is none.
         from_patterns: whether negotiating begins with the patterns.
     """
@@ -121,8 +121,8 @@ class Search:
         self.options = options
         self.history: list[Pass] = []
         self.rank, self.best_rank = (0, 0), _NOTHING
-        self.found, self._proven = 0, nets == 0
-        self.forget_overflow()
+        self.best_pass, self._proven = 0, nets == 0
+        self.clear_overflow()
         self._set_work(self._left())
 
     def best(self) -> Solution:
@@ -140,9 +140,9 @@ class Search:
             length = np.diff(self.routing.best_first)
         return solution_of(self._problem, edges, first, length)
 
-    def forget_overflow(self) -> None:
+    def clear_overflow(self) -> None:
         """Forgets how much overflow there was."""
-        self._fewest, self.stuck = np.inf, 0
+        self._fewest, self.stalled_passes = np.inf, 0
 
     def ended(self, stage: int | None) -> Stop | None:
         """Why the search ends before a stage; None if it does not."""
@@ -195,15 +195,15 @@ class Search:
             self._shuffle(self.routing)
         self.history.append(Pass(KINDS[kind], overflow, length / UNIT, int(progress["routed"])))
         if self.rank < self.best_rank:
-            self.best_rank, self.found = self.rank, len(self.history)
+            self.best_rank, self.best_pass = self.rank, len(self.history)
             keep_best(self.routing)
         if overflow == 0 and self.rank == self.best_rank and progress["unproven"] == 0:
             # No solution can be shorter than the shortest trees of all nets together.
             self._proven = bool(length == self.routing.ideal.sum())
         if overflow < self._fewest * (1.0 - self.options.min_overflow_drop):
-            self._fewest, self.stuck = overflow, 0
+            self._fewest, self.stalled_passes = overflow, 0
         else:
-            self.stuck += 1
+            self.stalled_passes += 1
 
     def _spent(self) -> float:
         """Processor seconds of the thread that has worked longest."""

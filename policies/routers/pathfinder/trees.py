@@ -1,6 +1,6 @@
 """Compiled code that gives nets their trees, and that keeps the best solution.
 
-:func:`reroute` does the work of all passes.
+:func:`plan` finds a net's tree, :func:`assign_tree` gives it to the net; :func:`reroute` does both.
 """
 
 from typing import Any
@@ -12,10 +12,10 @@ from policies.routers.pathfinder.kernels import (
     beside_via,
     draw,
     grow,
+    improve_paths,
     is_stacked,
     join_all,
     load_tree,
-    mend,
     point_of,
     set_box,
     set_costs,
@@ -261,19 +261,19 @@ def plan(problem: ProblemArrays, routing: Routing, memory: Memory, net: int) -> 
         if pins == 2 or (pins <= problem.exact_pins and points << (pins - 1) <= labels):
             cost = join_all(problem, routing, memory, net)
         else:
-            worn = (
+            overflowed_only = (
                 progress.kind == NEGOTIATE
                 and draw(progress) % 100 < MENDED
                 and load_tree(problem, routing, memory, net)
             )
             cost = i64(0)
-            if not worn:
+            if not overflowed_only:
                 cost = grow(problem, routing, memory, net)
             if cost != CLOSED:
                 for i in range(problem.first[net], problem.first[net + 1]):
                     point = point_of(problem.position, buffers.low, lattice.size, problem.pin[i])
                     buffers.pin[point] = 1
-                mend(problem, routing, memory, i64(point), worn)
+                improve_paths(problem, routing, memory, i64(point), overflowed_only)
                 exact = False
                 for i in range(problem.first[net], problem.first[net + 1]):
                     point = point_of(problem.position, buffers.low, lattice.size, problem.pin[i])
@@ -334,7 +334,7 @@ def margin_for(problem: ProblemArrays, memory: Memory, net: int, cost: int) -> i
 
 
 @compiled
-def adopt(
+def assign_tree(
     problem: ProblemArrays,
     routing: Routing,
     net: int,
@@ -380,7 +380,7 @@ def reroute(problem: ProblemArrays, routing: Routing, memory: Memory, net: int) 
     size, exact = plan(problem, routing, memory, net)
     if size == BOX_TOO_SMALL:
         return BOX_TOO_SMALL
-    return adopt(problem, routing, net, memory.buffers.tree, i64(0), size, exact)
+    return assign_tree(problem, routing, net, memory.buffers.tree, i64(0), size, exact)
 
 
 @compiled
