@@ -109,6 +109,12 @@ def problems_in(folder: Path) -> list[Path]:
     return sorted(file for file in folder.glob("*") if suffix_of(file) == ".gr")
 
 
+def check_routed(name: str, problem: Problem) -> None:
+    """Raises InputError for a problem, called by its name, without a net to route."""
+    if not problem.to_route.any():
+        raise InputError(f"{name}: expected a net with pins in two Gcells or more")
+
+
 def fixed_problems(options: GameOptions) -> dict[str, Problem]:
     """The problems that the options of a game name, by name."""
     if options.scenario is None:
@@ -206,10 +212,8 @@ class ProblemStream:
             raise InputError(f"problem: expected one grid shape, found {sorted(grids)}")
         nets: set[int] = set()
         for name, problem in self.problems.items():
-            routed = np.flatnonzero(problem.to_route)
-            if not len(routed):
-                raise InputError(f"{name}: expected a net with pins in two Gcells or more")
-            nets.update(routed.tolist())
+            check_routed(name, problem)
+            nets.update(np.flatnonzero(problem.to_route).tolist())
         self.nets = sorted(nets)
         # A generator's problems all have the same numbers of nets and of edges of each capacity.
         self.bounds = list(self.problems.values())

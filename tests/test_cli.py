@@ -508,21 +508,36 @@ def test_resume_goes_by_the_folder_whatever_its_name(
 def test_plot_of_a_run(trained: Path, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     copy = here / "run"
     shutil.copytree(trained, copy)
-    (copy / "problems" / "problem_001.gr").unlink()
-    (copy / "solutions" / "problem_000.astar.solution").unlink()
     inside = pictures(printed(capsys, "plot", str(copy)))
     assert {path.relative_to(copy).parts[0] for path in inside} == {"figures"}
     kinds = ("heat_maps", "histogram", "edges", "solution_2d", "solution_3d")
     assert {str(path.relative_to(copy / "figures")) for path in inside} == {
         "reward.png",
         "reward_log.png",
-        *(f"problem_000/{name}_{kind}.png" for name in ("dqn", "dqn_policy") for kind in kinds),
+        *(
+            f"problem_00{number}/{name}_{kind}.png"
+            for number in range(2)
+            for name in ("astar", "dqn", "dqn_policy")
+            for kind in kinds
+        ),
         "problem_000/comparison.png",
+        "problem_001/comparison.png",
     }
     curves = pictures(printed(capsys, "plot", str(copy / "metrics.jsonl"), "--out", "curves"))
     assert {path.name for path in curves} == {"reward.png", "reward_log.png"}
     beside = pictures(printed(capsys, "plot", str(copy / "metrics.jsonl")))
     assert {path.parent for path in beside} == {copy / "figures"}
+
+
+@pytest.mark.parametrize(
+    "lost", ["problems/problem_001.gr", "solutions/problem_000.astar.solution"]
+)
+def test_plot_of_a_run_that_has_lost_a_file(
+    lost: str, trained: Path, here: Path, refused: Callable[..., str]
+) -> None:
+    shutil.copytree(trained, here / "run")
+    (here / "run" / lost).unlink()
+    assert f"run/{lost}: cannot be read" in refused("plot", "run")
 
 
 @pytest.mark.usefixtures("here")
@@ -963,6 +978,18 @@ def test_plot_of_what_cannot_be_plotted(refused: Callable[..., str]) -> None:
         assert "m.jsonl" in refused("plot", "m.jsonl")
     Path("m.jsonl").write_bytes(b"\xff\xfe")
     assert "m.jsonl" in refused("plot", "m.jsonl")
+    assert "expected a path, found an empty one" in refused("plot", "")
+
+
+def test_rewards_are_those_of_all_episodes(trained: Path, refused: Callable[..., str]) -> None:
+    lines = (trained / "metrics.jsonl").read_text().splitlines(keepends=True)
+    for wrong, said in (
+        (lines[2:], "1: episode: expected 0, found 1"),
+        (lines[:2] + lines[4:], "3: episode: expected 1, found 2"),
+        (lines + lines, f"{len(lines) + 1}: episode: expected {len(lines) // 2}, found 0"),
+    ):
+        Path("m.jsonl").write_text("".join(wrong))
+        assert f"m.jsonl:{said}" in refused("plot", "m.jsonl")
 
 
 BAD_CONFIGS: dict[str, tuple[str, str]] = {

@@ -414,6 +414,47 @@ def test_problems_are_those_it_started_with(tmp_path: Path) -> None:
     }
 
 
+@pytest.mark.parametrize("seed", [1, None])
+def test_drawn_problems_that_are_lost_or_others_are_refused(
+    tmp_path: Path, seed: int | None
+) -> None:
+    config = write_config(tmp_path / "c.yaml", problems={"s": {**SMALL, "seed": seed}})
+    Experiment(load_experiment(config))
+    kept = tmp_path / "out/problems/s"
+    first, second = kept / "problem_000.gr", kept / "problem_001.gr"
+    text = first.read_text()
+    shutil.copy(second, kept / "problem_007.gr")
+    with pytest.raises(InputError, match=r"problem_007\.gr: expected the problem of s, found an"):
+        Experiment(load_experiment(config))
+    (kept / "problem_007.gr").unlink()
+    first.unlink()
+    with pytest.raises(InputError, match=r"problem_000\.gr: expected the problem of s, found none"):
+        Experiment(load_experiment(config))
+    if seed is not None:
+        shutil.copy(second, first)
+        with pytest.raises(InputError, match=r"problem_000\.gr: expected the problem of s, found "):
+            Experiment(load_experiment(config))
+    first.write_text(text)
+    Experiment(load_experiment(config))
+
+
+def test_solutions_and_figures_follow_the_rows(tmp_path: Path) -> None:
+    """A solution that is lost is made again; figures of an earlier state are removed."""
+    config = write_config(tmp_path / "c.yaml", routers=ASTAR)
+    Experiment(load_experiment(config)).execute()
+    out = tmp_path / "out"
+    solution = out / "solutions/small/problem_001.a.solution"
+    text = solution.read_text()
+    solution.unlink()
+    earlier = out / "figures/small_gap.png"
+    earlier.write_bytes(PNG)
+    Experiment(load_experiment(config)).execute()
+    assert solution.read_text() == text
+    assert {path.name for path in earlier.parent.iterdir()} == {
+        "small_overflow.png", "small_wirelength.png",
+    }  # fmt: skip
+
+
 def test_problems_that_have_changed_are_refused(tmp_path: Path) -> None:
     problems = generate(2, (4, 4, 2), nets=4, reduced_edges=0)
     for form in ("files", "one", "folders"):
@@ -738,6 +779,9 @@ def test_folders_that_hold_something_else(
     )
     run = finished / "runs" / "small" / "dqn.seed0" / "problem_000"
     assert "holds a training" in refused("experiment", config, f"out={run}")
+    (here / "e").mkdir()
+    (here / "e" / "config.yaml").touch()
+    assert "holds config.yaml without routers" in refused("experiment", config, f"out={here / 'e'}")
     (here / "a" / "problems" / "small").mkdir(parents=True)
     shutil.copy("4.gr", here / "a" / "problems" / "small" / "4.gr")
     assert "4.gr: expected only problems of" in refused("experiment", config, f"out={here / 'a'}")

@@ -491,7 +491,7 @@ def test_gaps_say_how_many_problems_are_missing():
     gaps = {"dqn": np.array([0.0, 3, np.nan]), "random": np.full(3, np.nan)}
     (axes,) = figures.gaps_by_router(gaps, "the title").axes
     labels = [label.get_text() for label in axes.get_yticklabels()]
-    assert labels == ["dqn\nmean 1.50 %, 1 open or overflowed", "random\n3 open or overflowed"]
+    assert labels == ["dqn\nmean 1.50 %, 1 without a gap", "random\n3 without a gap"]
     dots, mean = (line.get_xdata() for line in axes.lines[:2])
     assert (list(dots), list(mean)) == ([0, 3], [1.5])
     with pytest.raises(InputError, match="at least one router"):

@@ -142,6 +142,8 @@ def test_a_share_of_the_episodes_begins_plain(plain: float) -> None:
         ({"env": {"rip_up": {"choose": "agents"}}}, "rip_up.choose"),
         ({"learner": {"masking": False}}, "masking"),
         ({"learner": {"batch": 10_000}}, "batch"),
+        ({"learner": {"reuse": 1e300}}, "reuse: expected 0 to 1000"),
+        ({"learner": {"memory": 10**9}}, "learner.memory: 1000000000 states of"),
         ({"learner": {"expert_fraction": 2}}, "expert_fraction"),
         ({"learner": {"plain": 2}}, "plain"),
     ],

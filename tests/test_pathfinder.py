@@ -938,7 +938,7 @@ def test_the_linear_program_agrees_with_highs(seed: int) -> None:
     problem = hard_to_fit(seed)
     options = PathfinderOptions(via_weight=0.5)
     arrays, routing = make_arrays(problem, options)
-    relaxation = Relaxation(arrays, routing, worth=1.0)
+    relaxation = Relaxation(arrays, routing, price_scale=1.0)
     trees: list[set[tuple[int, ...]]] = [set() for _ in problem.nets]
     solutions = [router(passes=2 + i, seed=i).route(problem) for i in range(12)]
     for solution in solutions:

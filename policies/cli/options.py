@@ -20,11 +20,22 @@ from marouting.registry import allowing_code
 from policies.cli.completion import Complete
 from policies.results.run_folder import policy_file
 
-FILE = click.Path(path_type=Path)
+
+class _File(click.Path):
+    """A path; an empty one, as of a variable that is not set, is refused."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The path."""
+        if not os.fspath(value):
+            self.fail("expected a path, found an empty one", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+FILE = _File(path_type=Path)
 """The path of a file or folder, which shells complete."""
 
 
-class _Trained(click.Path):
+class _Trained(_File):
     """A trained policy: its file, also where the folder of its training is given."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from marouting.config import check
-from marouting.files import writing
+from marouting.files import check_writable, writing
 from marouting.observations import has_move_order, move_order_of
 from marouting.scenarios.cooperation import COOPERATION
 from marouting.source import ProblemSampler
@@ -144,6 +144,7 @@ def main(name: str, out: Path, radius: int, price: float, moves: int, seed: int)
     known = [scenario.name for scenario in COOPERATION]
     check("scenario", name in known, f"one of {', '.join(known)}, found {name!r}")
     check("--moves", moves > 0, "a number above 0")
+    check_writable(out)
     use_threads(1)
     config = load_config(None, [f"env.scenario={name}", "learner.kind=ippo", f"seed={seed}"])
     same = cloned(config, LocalRouter(radius=radius, price=price), out, moves)

@@ -14,7 +14,7 @@ from marouting.config import allowing_code_of, build, build_json, check, check_c
 from marouting.files import FILE_NAME, exists, is_file_name, naming, read_text, write_text
 from marouting.registry import allowing_code, lookup
 from marouting.scenarios import get
-from marouting.source import load_problems
+from marouting.source import generated_name, load_problems
 from marouting.yaml_files import MOST_TEXT, check_same, read_yaml, yaml_text
 from policies.engines import check_engine, cores
 from policies.experiment.config import (
@@ -73,7 +73,9 @@ class Experiment:
             raw = read_yaml(kept)
         routers = raw.get("routers")
         if not isinstance(routers, Mapping):
-            raise InputError(f"{self.folder}: holds a training: expected another out=")
+            training = "env" in raw or "learner" in raw
+            found = "a training" if training else f"{CONFIG} without routers"
+            raise InputError(f"{self.folder}: holds {found}: expected another out=")
         asked = self.config.routers
         self._stored_routers = dict(routers)
         entries = {name: entry for name, entry in routers.items() if name in asked} or asked
@@ -107,8 +109,8 @@ class Experiment:
         """The sets, in the order of the configuration; what the folder holds is read from it.
 
         Raises:
-            InputError: a set is another one now. Those that are drawn, perhaps at random, and files
-                that are gone are not compared.
+            InputError: a set is another one now. Of problems drawn without a seed only the names
+                are compared; files that are gone are not.
         """
         problems, folder = self.config.problems, self.folder / "problems"
         if isinstance(problems, str):
@@ -125,15 +127,19 @@ class Experiment:
             if name not in held:
                 sets[name] = load_set(name, source)
                 continue
-            sets[name] = load_problems(str(folder / name))
-            if ScenarioSet.of(source):
-                self._check_kept(name, sets[name], load_set(name, source))
-            elif not isinstance(source, Mapping) or "path" in source:
-                self._check_kept(name, sets[name], _or_none(load_set, name, source))
+            own = sets[name] = load_problems(str(folder / name))
+            drawn = isinstance(source, Mapping) and "path" not in source
+            if not drawn:
+                self._check_kept(name, own, _or_none(load_set, name, source))
+            elif ScenarioSet.of(source) or source.get("seed", 0) is not None:
+                self._check_kept(name, own, load_set(name, source))
+            else:
+                names = map(generated_name, range(source.get("count", 1)))
+                self._check_kept(name, own, {problem: own.get(problem) for problem in names})
         return sets
 
     def _check_kept(
-        self, name: str, kept: Mapping[str, Problem], now: Mapping[str, Problem] | None
+        self, name: str, kept: Mapping[str, Problem], now: Mapping[str, Problem | None] | None
     ) -> None:
         """Raises InputError unless the problems of a set are those that the folder holds.
 
@@ -144,10 +150,11 @@ class Experiment:
         """
         now = kept if now is None else now
         for problem in sorted(kept.keys() | now.keys()):
-            if kept.get(problem) != now.get(problem):
+            if problem not in kept or kept[problem] != now.get(problem):
                 file = self.folder / "problems" / name / f"{problem}.gr"
+                found = "another" if problem in kept else "none"
                 raise InputError(
-                    f"{file}: expected the problem of {name}, found another: if the set has "
+                    f"{file}: expected the problem of {name}, found {found}: if the set has "
                     "changed, give another out="
                 )
 
@@ -242,7 +249,7 @@ class Experiment:
 
     def _left(self) -> list[Part]:
         """The work that is left; what others made is read again every time."""
-        return [part for part in self.parts if not (part.entry.routes and part.rows.exists())]
+        return [part for part in self.parts if not (part.entry.routes and part.finished)]
 
     def execute(self, watch: Callable[[float, int], Any] | None = None) -> dict[str, Any]:
         """Does the work that is left and writes the results.

@@ -82,6 +82,11 @@ class Part:
         return {"set": self.set, "router": self.entry.name, "kind": self.entry.router}
 
     @property
+    def finished(self) -> bool:
+        """Whether its rows and solutions are on disk."""
+        return exists(self.rows) and all(exists(self.solution(name)) for name in self.problems)
+
+    @property
     def about_file(self) -> Path:
         """The file that says what is known of a policy that plays all problems at once."""
         return self.folder / "policies" / self.set / f"{self.label}.json"

@@ -28,6 +28,7 @@ from marouting import (
 )
 from marouting.config import check
 from marouting.files import write_text
+from marouting.scenarios import Scenario
 from marouting.scenarios.references import FOLDER, Best, read_references, references_in
 from policies.command import Command
 from policies.routers.optimal import OptimalRouter
@@ -84,6 +85,16 @@ def _better(known: Best, new: Best) -> Best:
     )
 
 
+def _with_references(name: str) -> Scenario:
+    """A scenario with a file for its references; raises InputError."""
+    scenario = scenarios.load(name)
+    shipped = scenario in (*scenarios.PLANNING, *scenarios.COOPERATION)
+    what = "a file to write them to, in scenarios.register(…, references=…)"
+    fits = shipped or scenario.references.parent != FOLDER
+    check(f"{scenario.name}: references", fits, what)
+    return scenario
+
+
 def solve_scenario(name: str, effort: Effort, *, again: bool = False) -> Iterator[Best]:
     """Computes the references of a scenario and writes them to its file, one by one.
 
@@ -95,10 +106,8 @@ def solve_scenario(name: str, effort: Effort, *, again: bool = False) -> Iterato
     Raises:
         InputError: there is no such scenario, or it is one of your own that names no file.
     """
-    scenario = scenarios.load(name)
-    path, shipped = scenario.references, (*scenarios.PLANNING, *scenarios.COOPERATION)
-    what = "a file to write them to, in scenarios.register(…, references=…)"
-    check(f"{scenario.name}: references", scenario in shipped or path.parent != FOLDER, what)
+    scenario = _with_references(name)
+    path = scenario.references
     kept = read_references(path)
     known = kept.references
     problems = {**scenario.problems("validation"), **scenario.problems("test")}
@@ -133,6 +142,8 @@ def main(
     check("--seconds", seconds >= 0, "a number from 0")
     check("--each", each >= 0, "a number from 0")
     check("--seeds", seeds >= 0, "a number from 0")
+    for name in names:
+        _ = _with_references(name)
     # So that no time of a reference includes compiling.
     solve(generate(1, (4, 4, 2), nets=9, capacity=1)[0], "", Effort(0.1, 1, 0.1))
     for name in names or scenarios.names():

@@ -214,7 +214,11 @@ def gaps_by_router(gaps: Mapping[str, NDArray[np.floating]], title: str = "") ->
     axes.grid(axis="x", color=PALE, linewidth=0.6)
     axes.set_axisbelow(True)
     axes.axvline(0, color=INK, linewidth=1, linestyle="--")
-    axes.set_xlabel("wirelength above the optimum's [%]; a dot for each problem, bars: means")
+    axes.set_xlabel(
+        "wirelength above the optimum's [%]; a dot for each problem, bars: means\n"
+        "no gap: more overflow or open tasks than the optimum, or no known optimum",
+        fontsize=9,
+    )
     axes.set_title(fitted(literal(title), 6, 12), fontsize=12)
     return figure
 
@@ -222,12 +226,9 @@ def gaps_by_router(gaps: Mapping[str, NDArray[np.floating]], title: str = "") ->
 def _gap_note(values: NDArray[np.floating]) -> str:
     """The mean gap, and on how many problems there is none."""
     known = values[~np.isnan(values)]
+    mean = [f"mean {known.mean():.2f} %"] if len(known) else []
     left_out = len(values) - len(known)
-    worse = f"{left_out} open or overflowed" if left_out else ""
-    if not len(known):
-        return worse
-    mean = f"mean {known.mean():.2f} %"
-    return f"{mean}, {worse}" if worse else mean
+    return ", ".join(mean + [f"{left_out} without a gap"] * (left_out > 0))
 
 
 def decrease_histogram(

@@ -85,21 +85,24 @@ def run_figures(
     """Writes all figures of a run folder, by default into its ``figures``; returns the files.
 
     Of a training that is not finished only the rewards are drawn.
+
+    Raises:
+        InputError: a finished training lacks a problem or a solution, or a file cannot be used.
     """
     folder = run / "figures" if folder is None else folder
-    written = reward_figures(run / run_folder.METRICS, folder)
     if rows is None:
         finished = (run / run_folder.RESULT).exists()
         rows = run_folder.read_result(run) if finished else []
-    for path in sorted((run / "problems").glob("*.gr")):
-        problem = Problem.read(path)
-        solutions = {
-            row["router"]: Solution.read(file, problem)
-            for row in rows
-            if row["problem"] == path.stem
-            and (file := run_folder.solution_file(run, path.stem, row["router"])).exists()
-        }
-        written += problem_figures(problem, solutions, _of(folder, path))
+    files = {row["problem"]: run / "problems" / f"{row['problem']}.gr" for row in rows}
+    problems = {name: Problem.read(files[name]) for name in sorted(files)}
+    solutions: dict[str, dict[str, Solution]] = {name: {} for name in problems}
+    for row in rows:
+        name, router = row["problem"], row["router"]
+        file = run_folder.solution_file(run, name, router)
+        solutions[name][router] = Solution.read(file, problems[name])
+    written = reward_figures(run / run_folder.METRICS, folder)
+    for name, problem in problems.items():
+        written += problem_figures(problem, solutions[name], _of(folder, files[name]))
     return written
 
 
@@ -108,9 +111,10 @@ def experiment_figures(experiment: Path, folder: Path | None = None) -> list[Pat
 
     For each set, and for ``all`` if there are several: ``SET_gap.png``, the gap to the optimum, or
     where none is known ``SET_wirelength.png``, problem by problem; ``SET_overflow.png``; and, where
-    A* is one of several routers, ``SET_decrease.png``.
+    A* is one of several routers, ``SET_decrease.png``. In the experiment's own folder, those of an
+    earlier state that there are none of now are removed.
     """
-    folder = experiment / "figures" if folder is None else folder
+    own, folder = folder is None, experiment / "figures" if folder is None else folder
     written: list[Path] = []
 
     def write(figure: Figure, name: str) -> None:
@@ -124,7 +128,7 @@ def experiment_figures(experiment: Path, folder: Path | None = None) -> list[Pat
         # A* first: this gives it the paper's colour.
         routers = sorted(by_router(rows).items(), key=lambda router: router[0] != astar)
         lengths, gaps, over = (
-            {called.get(router, router): mean_over_seeds(own, column) for router, own in routers}
+            {called.get(router, router): mean_over_seeds(rows, column) for router, rows in routers}
             for column in ("wirelength", "gap", "overflow")
         )
         first = next(iter(lengths))
@@ -137,15 +141,19 @@ def experiment_figures(experiment: Path, folder: Path | None = None) -> list[Pat
             write(figure, f"{name}_wirelength")
         figure = figures.by_problem(over, order, "overflow [tracks]", by, title)
         write(figure, f"{name}_overflow")
-        if astar is None:
-            continue
         decreases = {
-            router: lengths[first] - own for router, own in lengths.items() if router != first
+            router: lengths[first] - values
+            for router, values in lengths.items()
+            if router != first and astar is not None
         }
         # One of them may join what the other leaves open.
         if not all(np.isnan(values).all() for values in decreases.values()):
             figure = figures.decrease_histogram(decreases, first, title)
             write(figure, f"{name}_decrease")
+        for kind in ("gap", "wirelength", "decrease"):
+            file = folder / f"{name}_{kind}.png"
+            if own and file not in written:
+                file.unlink(missing_ok=True)
     return written
 
 

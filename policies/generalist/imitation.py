@@ -34,6 +34,7 @@ from marouting.checks import check_fields
 from marouting.config import MOST, Component, check, component_field, take_components
 from marouting.game import NOBODY
 from marouting.kernels import compiled
+from marouting.memory import check_memory
 from marouting.observations import has_move_order, move_order_of
 from marouting.player import Player
 from marouting.problem.grid import MOVES
@@ -111,7 +112,7 @@ class ImitationOptions:
         take_components(self)
         bounds = dict.fromkeys(("memory", "batch", "passes"), (1, MOST))
         bounds |= dict.fromkeys(("expert_fraction", "drawn", "expert_moves", "plain"), (0, 1))
-        check_fields(self, reuse=(0, np.inf), regret=(0, np.inf), **bounds)
+        check_fields(self, reuse=(0, 1000), regret=(0, np.inf), **bounds)
         check("learning_rate", self.learning_rate > 0, "a number above 0")
         check("batch", self.batch <= self.memory, f"a number from 1 to memory, {self.memory}")
         check("masking", self.masking, "true: the expert makes no other moves")
@@ -131,17 +132,21 @@ class Imitation(Learner):
         super().__init__(setup, options)
         o, player, games = options, setup.player, setup.games
         check("train.shared", len(setup.names) == 1, "true, for imitation")
-        check("agents", not player.everyone, "single, for imitation")
+        check("env.agents", not player.everyone, "single, for imitation")
         rules = player.engine.rules
-        check("rip_up.choose", not rules.asks, "all, conflicts or history, for imitation")
-        check("wait", setup.actions == MOVES, "false, and message_bits 0, for imitation")
+        check("env.rip_up.choose", not rules.asks, "all, conflicts or history, for imitation")
+        check("env.wait", setup.actions == MOVES, "false, and message_bits 0, for imitation")
         self.backend = f"torch, batched on {setup.device}"
         self.networks = self._stack("weights", setup.obs_shape, setup.actions)
         self.adam = Adam(self.networks.flat)
         self.explore = Exploration(setup.game_keys("explore"))
         self.keys = setup.network_keys("sample")
         self.features = int(np.prod(setup.obs_shape))
-        store = np.zeros((1, o.memory, self.features + MOVES), np.float16)
+        numbers = self.features + MOVES
+        check_memory(
+            2 * o.memory * numbers, "learner.memory: {} states of {} numbers", o.memory, numbers
+        )
+        store = np.zeros((1, o.memory, numbers), np.float16)
         self.store = torch.from_numpy(store)
         self.kept = np.zeros(1, np.int64)
         self.pending_updates = np.zeros(1)  # gradient steps

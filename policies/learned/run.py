@@ -26,6 +26,7 @@ from marouting.source import (
     MOST_PROBLEMS,
     ProblemSampler,
     ProblemStream,
+    check_routed,
     fixed_problems,
     load_problems,
 )
@@ -125,7 +126,10 @@ def problems_of(
         check("train.problems", train.problems is None, "null: a set is played whole")
         found = fixed_problems(env) if kept is None else kept
         episodes = ProblemStream.of(dict(sorted(found.items())))
-    return dict(sorted((found if kept is None else kept).items())), episodes
+    problems = dict(sorted((found if kept is None else kept).items()))
+    for name, problem in problems.items():
+        check_routed(name, problem)
+    return problems, episodes
 
 
 def trainer_of(

@@ -60,7 +60,8 @@ def solution_file(folder: Path, problem: str, router: str) -> Path:
 def solution_name(file: Path, problem: str) -> str:
     """Whose solution of a problem a file holds: its name without the problem's and the suffix."""
     stem = stem_of(file) if suffix_of(file) == ".solution" else plain_name(file)
-    return stem.removeprefix(problem).strip(".") or stem_of(file)
+    own = stem.removeprefix(problem) if f"{stem}.".startswith(f"{problem}.") else stem
+    return own.strip(".") or stem_of(file)
 
 
 def solutions_by_name(files: Iterable[Path], problem: str) -> dict[str, Path]:
@@ -189,11 +190,17 @@ def read_rewards(metrics: Path) -> dict[str, list[float]]:
     """
     curves: dict[str, list[float]] = defaultdict(list)
     episodes = read_episodes(metrics)
-    for episode in episodes:
-        curves[episode.problem].append(episode.reward)
+    each = drawn = True  # whether the episodes of each problem are counted, or of all together
+    for n, episode in enumerate(episodes):
+        curve = curves[episode.problem]
+        of_problem, of_all = episode.episode == len(curve), episode.episode == n
+        if not ((each and of_problem) or (drawn and of_all)):
+            expected = len(curve) if each else n
+            raise InputError(
+                f"{metrics}:{n + 1}: episode: expected {expected}, found {episode.episode}"
+            )
+        each, drawn = each and of_problem, drawn and of_all
+        curve.append(episode.reward)
     if not curves:
         raise InputError(f"{metrics}: expected at least one episode")
-    counted = all(episode.episode == n for n, episode in enumerate(episodes))
-    if len(curves) > 1 and counted:  # otherwise the second problem would begin with episode 0
-        return {"all": [episode.reward for episode in episodes]}
-    return curves
+    return curves if each else {"all": [episode.reward for episode in episodes]}

@@ -203,14 +203,13 @@ class PPO(Learner):
         self, obs: NDArray[np.float32], asked: NDArray[np.bool_], states: Any
     ) -> tuple[NDArray[np.bool_], Tensor, Tensor]:
         """(L, B) where there is a row, (L, B, *S) what the actor sees, and what the critic does."""
-        where, inputs = by_network(len(self.updates), obs, asked)
+        count = len(self.updates)
+        where, inputs = by_network(count, obs, asked)
         actor = critic = torch.from_numpy(inputs).to(self.device)
         if states is not None:
-            games = np.nonzero(asked)[0]
-            both = np.zeros((*where.shape, states[0].size + inputs[0, 0].size), np.float32)
-            flat = states.reshape(len(states), -1)[games], inputs[where].reshape(len(games), -1)
-            both[where] = np.concatenate(flat, axis=1)
-            critic = torch.from_numpy(both).to(self.device)
+            rows = np.broadcast_to(states[:, None], (*asked.shape, *states.shape[1:]))
+            state = torch.from_numpy(by_network(count, rows, asked)[1]).to(self.device)
+            critic = torch.cat((state.flatten(2), actor.flatten(2)), dim=2)
         return where, actor, critic
 
     def _values_ahead(self, player: Player) -> NDArray[np.float32]:

@@ -29,6 +29,7 @@ from torch import Tensor
 from marouting.batch.step import StepBuffers
 from marouting.game import Ending
 from marouting.kernels import compiled
+from marouting.memory import check_memory
 from marouting.problem.grid import MOVES
 from policies.learned.checkpoint import checked
 from policies.learned.counter_rng import uniforms
@@ -107,6 +108,8 @@ class Replay(PerNetworkState):
         self.actions = actions
         self.features = int(np.prod(obs_shape))
         networks, width = len(keys), width_of(self.features, actions * masks)
+        what = "learner.buffer_size: {} transitions of {} numbers"
+        check_memory(4 * networks * capacity * width, what, networks * capacity, width)
         # NumPy asks for huge pages where torch does not: samples from all over the store took a
         # third longer without.
         store = np.zeros((networks, capacity, width), np.float32)

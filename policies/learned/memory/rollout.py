@@ -10,6 +10,7 @@ over, or the agent is ripped up and moves again. Everything that the agent is pa
 part of that transition's reward.
 """
 
+import math
 from typing import Any, ClassVar
 
 import numpy as np
@@ -20,6 +21,7 @@ from torch import Tensor
 from marouting.batch.step import StepBuffers
 from marouting.game import Ending
 from marouting.kernels import compiled
+from marouting.memory import check_memory
 from policies.learned.counter_rng import uniform
 from policies.learned.memory.pre_step import PreStep
 from policies.learned.per_network import PerNetworkState
@@ -86,6 +88,9 @@ class Rollout(PerNetworkState):
         # A step brings transitions, and ends the waiting of others.
         self._waiting = size + games * rows + self.streams * late
         each = networks, self._waiting + self.streams * late
+        numbers = math.prod(obs_shape) + math.prod(state_shape) * bool(state_shape) + actions
+        what = "learner.rollout: {} transitions of {} numbers"
+        check_memory(4 * math.prod(each) * numbers, what, math.prod(each), numbers)
         self.waits = np.zeros((networks, self.streams * late), np.bool_)
         self.obs = np.zeros((*each, *obs_shape), np.float32)
         self.mask = np.ones((*each, actions), np.int8)
