@@ -1311,7 +1311,7 @@ def test_drawn_problems_are_not_shown_by_solutions(tmp_path: Path) -> None:
         "out": str(tmp_path / "run"), "env": {"problem": {"nets": 3, "seed": None}},
         "train": {"games": 2, "shared": True}, "learner": {"kind": "dqn", "burn_in": "pathfinder"},
     }  # fmt: skip
-    with pytest.raises(InputError, match=r"^burn_in: expected astar or random with tr"):
+    with pytest.raises(InputError, match=r"^learner.burn_in: expected astar or random with tr"):
         Run(build(Config, raw))
     config = build(Config, {**raw, "learner": {"kind": "dqn"}})
     with pytest.raises(InputError, match=r"^train\.games: expected null: its problems"):

@@ -120,7 +120,7 @@ class DevicePPO:
         self.env, self.options, self.steps = env, options, steps
         self.device = torch_device("cuda" if on_cuda(env) else "cpu")
         known = not has_move_order(observation) or type(observation) is WindowObservation
-        check("observation", known, "paper or window on a device")
+        check("env.observation", known, "paper or window on a device")
         self.mirrored = has_move_order(observation)
         self.agents, self.games = env.num_agents, env.num_problems
         self.rows = self.agents * self.games

@@ -123,7 +123,7 @@ class Trainer:
         b = self.player.buffers
         shapes = [p.buffers.obs.shape[2:] for p in (self._evaluator, self.player)]
         what = f"the same shape for all problems, found {shapes[0]} and {shapes[1]}"
-        check("observation", shapes[0] == shapes[1], what)
+        check("env.observation", shapes[0] == shapes[1], what)
         self.learner: Learner = learner.cls.start(
             Setup(
                 names=SHARED if train.shared else self.names,
@@ -148,7 +148,7 @@ class Trainer:
         )
         guide_ = self.learner.burn_in
         alone = not drawn or self.learner.learning_starts == 0 or guide_ in GUIDES
-        check("burn_in", alone, f"{' or '.join(GUIDES)} with train.games, found {guide_}")
+        check("learner.burn_in", alone, f"{' or '.join(GUIDES)} with train.games, found {guide_}")
         self.episodes, self.steps, self._told = np.zeros((3, count), np.int64)
         self.spent = 0.0
         self.clock: Callable[[], float] = float
@@ -337,9 +337,9 @@ class Trainer:
         player = self._evaluator.part(shown.ravel())
         player.reset()
         self.learner.play_greedily(player, rows)
-        walked = np.array([player.engine.metrics(m) for m in range(shown.size)], object)
+        metrics_of = np.array([player.engine.metrics(m) for m in range(shown.size)], object)
         for network, row, now, places, metrics in zip(
-            networks.tolist(), rows, episodes, shown, walked.reshape(shown.shape), strict=True
+            networks.tolist(), rows, episodes, shown, metrics_of.reshape(shown.shape), strict=True
         ):
             found = {
                 self.names[m]: (int(played[m]), one) for m, one in zip(places, metrics, strict=True)
