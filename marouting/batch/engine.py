@@ -325,7 +325,7 @@ class Engine:
         """Raises ValueError for numbers that compiled code could not use as indices."""
         agents, games, options = saved.agents, saved.games, self.static.options
         nets, gcells, tasks = self.nets.shape[1], self.grid.gcells, len(self.static.tasks)
-        line, ripped = options[Option.LINE], options[Option.RIPPED]
+        line, first = options[Option.LINE], options[Option.RIPPED]
         most = max(int(options[Option.RIPPED_MOST]), 0)
         limits = {
             "cell": (agents["cell"], 0, gcells - 1),
@@ -338,11 +338,7 @@ class Engine:
             "place": (games["place"], 0, nets),
             "ripped": (games["ripped"], 0, most),
             "line": (saved.numbers[:, line : line + nets * (line >= 0)], NOBODY, nets - 1),
-            "rerouted": (
-                saved.numbers[:, ripped : ripped + most * (ripped >= 0)],
-                NOBODY,
-                nets - 1,
-            ),
+            "rerouted": (saved.numbers[:, first : first + most * (first >= 0)], NOBODY, nets - 1),
         }
         for name, (numbers, least, largest) in limits.items():
             if numbers.size and not least <= numbers.min() <= numbers.max() <= largest:

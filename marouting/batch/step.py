@@ -206,9 +206,7 @@ def _make_moves(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath
 
 
 @inlined
-def _write_result(
-    dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int, n: int, row: int
-) -> Any:
+def _write_move(dynamic: Dynamic, b: StepBuffers, fast: FastPath, m: int, n: int, row: int) -> Any:
     """Writes the result of an agent's move; returns the reward."""
     agent = dynamic.agents[m, n]
     b.acted[m, row] = agent.crossing != Crossing.NONE
@@ -289,7 +287,7 @@ def move_game(static: Static, dynamic: Dynamic, b: StepBuffers, fast: FastPath, 
             b.reward[m, row] = 0
             b.ending[m, row] = Ending.NONE
         else:
-            b.total[m] += _write_result(dynamic, b, fast, m, as_index(n), row)
+            b.total[m] += _write_move(dynamic, b, fast, m, as_index(n), row)
 
 
 @compiled
@@ -356,15 +354,8 @@ def settle_games(
 ) -> None:
     """:func:`settle_game` in all problems, and the masks."""
     for m in range(len(begins)):
-        settle_game(
-            static,
-            dynamic,
-            b,
-            fast,
-            m,
-            i64(on_turn[m]),
-            i64(SETTLE_NOTHING) if begins[m] else i64(settling),
-        )
+        end = i64(SETTLE_NOTHING) if begins[m] else i64(settling)
+        settle_game(static, dynamic, b, fast, m, i64(on_turn[m]), end)
         for row in range(b.agents.shape[1]):
             write_mask(static, dynamic, b.mask, m, i64(b.agents[m, row]), i64(row))
 

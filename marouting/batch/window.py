@@ -78,7 +78,7 @@ from marouting.batch.tasks import is_later
 from marouting.batch.window_rows import (
     MOST_RADIUS,
     SCALARS,
-    WindowOffsets,
+    Offsets,
     count_heads,
     write_window,
 )
@@ -188,13 +188,13 @@ class WindowObservation:
         return next(reversed(self.layout.values()))[0].stop
 
     @cached_property
-    def offsets(self) -> WindowOffsets:
+    def offsets(self) -> Offsets:
         """The options, for compiled code."""
         begins: dict[str, int] = {}
         for channel, name, _ in self._blocks:
             begins.setdefault(channel, self.layout[name][0].start)
         known = self.radius, self.layers, self.message_bits
-        return WindowOffsets(*known, *(begins.get(channel, NOBODY) for channel in CHANNELS))
+        return Offsets(*known, *(begins.get(channel, NOBODY) for channel in CHANNELS))
 
     def space(self, problems: Sequence[Problem], overflow: bool) -> Box:
         """The box of a row, the same for all problems; see :class:`.observations.Observation`."""
@@ -341,10 +341,8 @@ def mirrored(
         (…,) int64.
     """
     moves = np.asarray(moves)
-    mirrored_moves = np.take_along_axis(move_order(obs, actions, messages), moves[..., None], -1)[
-        ..., 0
-    ]
-    return np.where(moves == NOBODY, NOBODY, mirrored_moves)
+    swapped = np.take_along_axis(move_order(obs, actions, messages), moves[..., None], -1)[..., 0]
+    return np.where(moves == NOBODY, NOBODY, swapped)
 
 
 # --- rows -----------------------------------------------------------------------------------------
@@ -352,7 +350,7 @@ def mirrored(
 
 @compiled
 def _write_rows(
-    static: Static, dynamic: Dynamic, heads: Any, maps: Maps, offsets: WindowOffsets, problems: Any,
+    static: Static, dynamic: Dynamic, heads: Any, maps: Maps, offsets: Offsets, problems: Any,
     agents: Any, out: Any,
 ) -> bool:  # fmt: skip
     """Fills ``out`` (K, size); returns whether there are such agents."""
@@ -377,7 +375,7 @@ def _write_rows(
 
 @compiled
 def _prepare(
-    static: Static, dynamic: Dynamic, heads: Any, maps: Maps, offsets: WindowOffsets, m: int
+    static: Static, dynamic: Dynamic, heads: Any, maps: Maps, offsets: Offsets, m: int
 ) -> None:
     """Brings up to date what the channels need of a problem."""
     if offsets.demand >= 0:
@@ -388,7 +386,7 @@ def _prepare(
 
 @compiled
 def _add_own_demand(
-    static: Static, dynamic: Dynamic, maps: Maps, offsets: WindowOffsets, m: int, n: int, sign: int
+    static: Static, dynamic: Dynamic, maps: Maps, offsets: Offsets, m: int, n: int, sign: int
 ) -> None:
     """Adds a net's own expected demand to the edges of its window (1), or subtracts it (−1)."""
     _, rows, layers = grid_of(static)
@@ -420,7 +418,7 @@ def _add_own_demand(
 
 @compiled
 def _state(
-    static: Static, dynamic: Dynamic, maps: Maps, heads: Any, offsets: WindowOffsets, out: Any
+    static: Static, dynamic: Dynamic, maps: Maps, heads: Any, offsets: Offsets, out: Any
 ) -> None:
     """Fills ``out`` (M, G, C)."""
     for m in range(out.shape[0]):
@@ -429,13 +427,7 @@ def _state(
 
 @compiled
 def write_window_state(
-    static: Static,
-    dynamic: Dynamic,
-    maps: Maps,
-    heads: Any,
-    offsets: WindowOffsets,
-    m: int,
-    out: Any,
+    static: Static, dynamic: Dynamic, maps: Maps, heads: Any, offsets: Offsets, m: int, out: Any
 ) -> None:
     """Fills ``out[m]`` (G, C)."""
     layers = maps.track.shape[1]

@@ -26,7 +26,7 @@ _NEAR = 256
 _LOGARITHMS = np.array([math.log2(1 + d) / 8 for d in range(_NEAR)], np.float32)
 
 
-class WindowOffsets(NamedTuple):
+class Offsets(NamedTuple):
     """Sizes of a window, and where its channels begin, for compiled code."""
 
     radius: int
@@ -102,7 +102,7 @@ At = tuple[int, int, int, int, int]
 
 @inlined
 def _write_block(
-    static: Static, dynamic: Dynamic, heads: Any, maps: Maps, offsets: WindowOffsets, m: int,
+    static: Static, dynamic: Dynamic, heads: Any, maps: Maps, offsets: Offsets, m: int,
     n: int, at: At, what: int, kind: int, begin: int, out: Any, row: int,
 ) -> None:  # fmt: skip
     """Writes a block of a channel, of edges along an axis or (``kind`` is AXES) of Gcells."""
@@ -153,14 +153,7 @@ def _write_block(
 
 @inlined
 def _write_own(
-    static: Static,
-    dynamic: Dynamic,
-    offsets: WindowOffsets,
-    m: int,
-    n: int,
-    at: At,
-    out: Any,
-    row: int,
+    static: Static, dynamic: Dynamic, offsets: Offsets, m: int, n: int, at: At, out: Any, row: int
 ) -> None:
     """Writes ``own``: the bits of a column of the grid that touches the window are side by side."""
     columns, rows, layers = grid_of(static)
@@ -191,14 +184,7 @@ def _write_own(
 
 @inlined
 def _write_pins(
-    static: Static,
-    dynamic: Dynamic,
-    offsets: WindowOffsets,
-    m: int,
-    n: int,
-    at: At,
-    out: Any,
-    row: int,
+    static: Static, dynamic: Dynamic, offsets: Offsets, m: int, n: int, at: At, out: Any, row: int
 ) -> None:
     """Writes ``pins`` of an active agent."""
     x, y, z, right, up = at
@@ -247,7 +233,7 @@ def write_numbers(static: Static, dynamic: Dynamic, m: int, n: int, out: Any, ro
 
 @inlined
 def write_window(
-    static: Static, dynamic: Dynamic, heads: Any, maps: Maps, offsets: WindowOffsets, m: int,
+    static: Static, dynamic: Dynamic, heads: Any, maps: Maps, offsets: Offsets, m: int,
     n: int, out: Any, row: int,
 ) -> None:  # fmt: skip
     """Fills a row of ``out`` (K, size) with what an agent sees; zeros for NOBODY.

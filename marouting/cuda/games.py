@@ -43,7 +43,7 @@ from marouting.batch.step import (
     write_mask,
 )
 from marouting.batch.window import write_window_state
-from marouting.batch.window_rows import WindowOffsets, count_heads, write_window
+from marouting.batch.window_rows import Offsets, count_heads, write_window
 from marouting.errors import InputError
 from marouting.game import NOBODY, Ending
 from marouting.kernels import i64, mixed
@@ -290,7 +290,7 @@ class Surroundings(NamedTuple):
     """What the observation ``window`` needs."""
 
     heads: Any  # (M, G) or (M, 2 G), see count_heads
-    offsets: WindowOffsets
+    offsets: Offsets
     maps: Maps  # of which only track is there, (M, Z)
     tracks: Any  # (P, Z) track of the problems of the pool
     number: Any  # (M,) the problem that a game plays

@@ -192,16 +192,14 @@ def benchmark(
         entries = [
             replace(e, name=name.replace(NAME, e.name), source=e.source + option) for e in entries
         ]
-    trained = any(entry.training_scenario for entry in entries)
+    trained = any(entry.trains_on for entry in entries)
     if out is None:  # a folder holds one router of a name, and this one is for one scenario
         out = OUT.with_name(f"{OUT.name}-{alone}") if trained else OUT
     for key, most in bounds.items():
         what = f"a learner to train, and one scenario with {RULE_COST}"
         check(f"--training-{key}", trained, what)
         option = f" --training-{key} {most}"
-        entries = [
-            replace(e, source=e.source + option * bool(e.training_scenario)) for e in entries
-        ]
+        entries = [replace(e, source=e.source + option * bool(e.trains_on)) for e in entries]
     run = Benchmark(
         chosen,
         entries,

@@ -266,7 +266,7 @@ def main(names: Sequence[str], shown: bool) -> None:
         what = "one with a file of references"
         check(f"{scenario.name}: scenario", scenario in COOPERATION or own, what)
     if shown:
-        click.echo("\n".join(list(table(map(file_of, chosen)))))
+        click.echo("\n".join(table(map(file_of, chosen))))
         return
     for scenario in chosen:
         rows = list(measure_all(scenario))

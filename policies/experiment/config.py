@@ -318,11 +318,11 @@ class Entry:
         if not self.routes:
             return False
         if is_learner(self.router):
-            return not self.trains or self.training_scenario is not None
+            return not self.trains or self.trains_on is not None
         return is_policy(lookup("router", self.router))
 
     @property
-    def training_scenario(self) -> str | None:
+    def trains_on(self) -> str | None:
         """The scenario on whose training problems it is trained; None for none."""
         scenario: str | None = self.options.get("scenario") if self.trains else None
         return scenario
@@ -344,7 +344,7 @@ class Entry:
         """What it may spend on a problem, in words; None if its options do not bound it."""
         if self.trains:
             train = self.options["train"]
-            if self.training_scenario is None:
+            if self.trains_on is None:
                 return f"{train['episodes']} episodes"
             bounds = [] if train["steps"] is None else [f"{train['steps']} agent-steps"]
             bounds += [] if train["seconds"] is None else [f"{train['seconds']:g} s of training"]

@@ -397,10 +397,10 @@ def _shares(
 ) -> list[tuple[str, ...]]:
     """The problems of a set, in groups that one process does at a time."""
     where = f"routers.{entry.name}"
-    if entry.training_scenario is not None:
+    if entry.trains_on is not None:
         found = None if scenario is None else scenario.scenario
-        what = f"{found}, whose problems it plays, found {entry.training_scenario}"
-        check(f"{where}.scenario", found == entry.training_scenario, what)
+        what = f"{found}, whose problems it plays, found {entry.trains_on}"
+        check(f"{where}.scenario", found == entry.trains_on, what)
     if scenario is None and entry.plays and not is_learner(entry.router):
         known = hasattr(lookup("router", entry.router), "route")
         what = f"a class with a method route: one with moves alone plays scenarios with {RULE_COST}"

@@ -158,7 +158,7 @@ class Part:
         elif self.entry.router == SOLUTIONS:
             for name, problem in problems.items():
                 self._external(name, problem)
-        elif self.entry.training_scenario is not None:
+        elif self.entry.trains_on is not None:
             _ = self._training()
         elif self.scenario is not None and self.entry.plays:
             _ = self._policy()
@@ -283,7 +283,7 @@ class Part:
                 config = load_config(kept) if kept.exists() else self._training()
             # The folder may have been renamed since the training was started.
             config = replace(config, out=str(self.run))
-            if not kept.exists() and self.entry.training_scenario is None:
+            if not kept.exists() and self.entry.trains_on is None:
                 self._warm_up(LearnedRouter(config))
             Run(config, resume=kept.exists()).execute()
         # The checkpoint of a finished training is large and of no use.
@@ -304,10 +304,10 @@ class Part:
 
     def _training(self) -> Config:
         parts = {key: dict(self.entry.options[key]) for key in PARTS}
-        if self.entry.training_scenario is None:
+        if self.entry.trains_on is None:
             parts["env"]["problem"] = [str(self.problem(name)) for name in self.problems]
         else:
-            parts["env"]["scenario"] = self.entry.training_scenario
+            parts["env"]["scenario"] = self.entry.trains_on
         return build(Config, {"seed": self.seed, **parts})
 
 
