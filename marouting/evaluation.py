@@ -23,7 +23,7 @@ from marouting.rules import Rules
 from marouting.scenarios import Reference, Scenario, Split, get, load
 from marouting.scenarios.score import Figures, score
 from marouting.search.astar import sequential_astar
-from marouting.vector import BatchEnv
+from marouting.vector import BatchEnv, check_plain_arrays
 
 _CHECKED = 8
 """Problems in which observations are checked to be local, which takes as long as to play them."""
@@ -157,6 +157,7 @@ def evaluate_policy(
             that of the scenario, or the observation is not local; or the policy returns something
             other than one action for each agent.
     """
+    check_plain_arrays(options)
     env = play_split(policy, scenario, split, local=local, threads=threads, **options)
     return result_of(env.engine, scenario, split)
 

@@ -384,12 +384,17 @@ def batch_options(
     for name, value in switches.items():
         check(name, isinstance(value, bool | np.bool_), f"true or false, found {value!r}")
     checked = game_options(options, "multi" if everyone else "single")
+    check_plain_arrays(options)
+    return checked
+
+
+def check_plain_arrays(options: Mapping[str, Any]) -> None:
+    """Raises InputError for options of pictures and of keys of observations."""
     check("render_mode", options.get("render_mode") is None, "null: a batch draws no pictures")
     given = options.get("mask") or {}  # what a scenario suggests for other interfaces may stay
     mask = given if isinstance(given, Mask) else build(Mask, given, "mask")
     what = 'no key but visited: a batch gives its masks as info["action_mask"]'
     check("mask", mask == Mask(visited=mask.visited), what)
-    return checked
 
 
 def drawn_from(

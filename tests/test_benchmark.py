@@ -203,6 +203,8 @@ DAMAGE = {
     "format": lambda text: text.replace("benchmark-1", "benchmark-9"),
     "reference": lambda text: text.replace('"reference": [0, 0, 100]', '"reference": [0, 5, 1]'),
     "path": lambda text: text.replace('"name": "mine"', '"name": "../mine"'),
+    "lines": lambda text: text.replace('"command": "c"', '"command": "c\\n# heading"'),
+    "seeds": lambda text: text.replace('"seed": 0', '"seed": null', 1),
 }
 
 
@@ -312,6 +314,24 @@ def test_all_rows_are_scored_against_the_best_solution(tmp_path: Path) -> None:
         read_groups(tmp_path)
     with pytest.raises(InputError, match="expected result files"):
         read_groups(tmp_path / "nothing")
+
+
+def test_files_agree_with_the_references_of_the_package(tmp_path: Path) -> None:
+    docs = Path(__file__).resolve().parents[1] / "docs"
+    toy = docs / "results/benchmark/toy-4x4-v0.astar.json"
+    text = toy.read_text(encoding="utf-8")
+    first = read_result(toy).tasks[0]
+    path = tmp_path / "a.json"
+    for changed, said in (
+        (text.replace('"toy-4x4-v0"', '"two-pin-8x8-v0"', 1), "none better than the proven opt"),
+        (text.replace('"toy-4x4-v0"', '"tight-16x16-v0"', 1), "tasks: expected those of tight-16"),
+    ):
+        path.write_text(changed, encoding="utf-8")
+        with pytest.raises(InputError, match=said):
+            read_groups(tmp_path)
+    path.write_text(text, encoding="utf-8")
+    ((_, (found,)),) = read_groups(tmp_path).items()
+    assert found.tasks[0] == first
 
 
 # --- entries --------------------------------------------------------------------------------------

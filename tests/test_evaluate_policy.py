@@ -170,6 +170,9 @@ def test_what_is_refused() -> None:
     assert evaluate_policy(first, toy, "validation", local=0, **options).problems == 20
     with pytest.raises(InputError, match=r"local_radius: expected at most 2, found 3"):
         evaluate_policy(first, "gates-8x7-v0", "validation", local=2)
+    for given in ({"render_mode": "human"}, {"mask": {"in_observation": True}}):
+        with pytest.raises(InputError, match=r"(render_mode: expected null|mask: expected no key)"):
+            evaluate_policy(first, toy, "validation", **given)  # type: ignore[arg-type]
     for local in (-1, "x", None):
         with pytest.raises(InputError, match="local: expected true, false or a number of Gcells"):
             evaluate_policy(first, toy, "validation", local=local)  # type: ignore[arg-type]

@@ -556,6 +556,11 @@ def test_a_limit_holds_on_a_large_problem(limit: float) -> None:
     assert spent <= limit + max(1.0, limit / 10)
 
 
+def test_a_time_limit_may_be_longer_than_the_clock_counts() -> None:
+    problem = generate(1, (4, 4, 2), nets=4)[0]
+    assert proven(problem, OptimalRouter(time_limit=1e18)).report["status"] == "optimal"
+
+
 def test_a_time_limit_of_zero_leaves_a_gap() -> None:
     problem = generate(1, capacity=1, seed=0)[0]  # far too little capacity
     found = proven(problem, OptimalRouter(time_limit=0.0))

@@ -992,6 +992,58 @@ def test_an_interrupted_process_is_resumed(uninterrupted: Path, tmp_path: Path) 
     assert outcome(folder) == outcome(uninterrupted / "run")
 
 
+@pytest.mark.parametrize(
+    ("part", "key", "value"),
+    [("learner", "learning_rate", 0.5), ("env", "overflow", "allowed"), (None, "seed", 5)],
+)
+def test_a_configuration_that_was_edited_is_refused(
+    part: str | None, key: str, value: Any, tmp_path: Path
+) -> None:
+    Run(config_in(tmp_path / "run", 4)).execute()
+    file = tmp_path / "run" / "config.yaml"
+    raw = yaml.safe_load(file.read_text())
+    raw["train"]["threads"] = 2  # has no effect on what is learned
+    file.write_text(yaml.safe_dump(raw))
+    assert Run(load_config(file), resume=True).finished is not None
+    (raw[part] if part else raw)[key] = value
+    file.write_text(yaml.safe_dump(raw))
+    with pytest.raises(InputError, match=rf"{key}: expected .*, as in .*checkpoint\.pt, found"):
+        Run(load_config(file), resume=True)
+
+
+def test_a_run_whose_folder_is_moved_ends(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+
+    def move(_: Any) -> None:
+        if (folder / "checkpoint.pt").exists():
+            folder.rename(tmp_path / "moved")
+
+    with pytest.raises(InputError, match="run: expected this run's folder, which is gone"):
+        Run(config_in(folder, 200, checkpoint_seconds=0)).execute(move)
+    assert not (folder / "checkpoint.pt").exists()
+    moved = load_config(tmp_path / "moved" / "config.yaml", [f"out={tmp_path / 'moved'}"])
+    assert Run(moved, resume=True).execute()
+
+
+def test_a_resumed_run_stays_in_its_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Run(config_in(tmp_path / "run", 2)).execute()
+    assert status(["train", "--resume", str(tmp_path / "run"), "out=other"]) == 2
+    assert "out: expected no key out beside --resume" in capsys.readouterr().err
+
+
+def test_a_training_starts_with_networks_of_its_own_kind(tmp_path: Path) -> None:
+    shared = {"shared": True, "figures": False}
+    Run(config_in(tmp_path / "run", 2, **shared)).execute()
+    again = config_in(tmp_path / "more", 2, start=str(tmp_path / "run"), **shared)
+    assert Run(again).execute()
+    network = {"hidden": [8], "activation": "tanh"}
+    other = config_in(tmp_path / "other", 2, start=str(tmp_path / "run"), network=network, **shared)
+    with pytest.raises(InputError, match=r"train.start: expected networks .*tanh.*, found .*relu"):
+        Run(other).execute()
+
+
 def test_problems_of_an_aborted_start_are_not_taken_for_the_runs(tmp_path: Path) -> None:
     config = config_in(tmp_path / "run", 1)
     other = tmp_path / "run" / "problems" / "other.gr"

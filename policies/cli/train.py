@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from marouting import InputError
-from marouting.config import code_named
+from marouting.config import check, code_named
 from marouting.files import exists
 from policies.cli.completion import file_or_keys, keys_of
 from policies.cli.options import (
@@ -61,6 +61,8 @@ def train(
 
         settings = load_config(config or (resume and resume / "config.yaml"), overrides)
         if resume is not None:
+            moved = any(text.startswith("out=") for text in overrides)
+            check("out", not moved, "no key out beside --resume, which goes on in its folder")
             settings = replace(settings, out=str(resume))
         run = Run(settings, resume=resume is not None)
 

@@ -257,11 +257,9 @@ class Benchmark(Experiment):
                 _ = scenarios.get(name)  # or an error
             sets = [f"{name}{tail}" for name in entry.only or names if name in names]
             for scenario in map(scenarios.get, names if entry.trains else ()):
-                fits = entry.training_scenario == scenario.name or not scenario.has_local_rule(
-                    split
-                )
+                fits = entry.trains_on == scenario.name or not scenario.has_local_rule(split)
                 what = f"{scenario.name} alone with {entry.name}, which is trained for it"
-                check("--scenario", fits and (len(names) == 1 or not entry.training_scenario), what)
+                check("--scenario", fits and (len(names) == 1 or not entry.trains_on), what)
             if sets:
                 routers[entry.name] = {**entry.plain, "only": sets if entry.only else None}
         super().__init__(
@@ -341,7 +339,7 @@ class Benchmark(Experiment):
             budget=entry.allowed,
             version=__version__,
             machine=", ".join((processor(), size, platform.system())),
-            command=" ".join([shlex.join(command), self.sources[entry.name], *seeds]),
+            command=_printable(" ".join([shlex.join(command), self.sources[entry.name], *seeds])),
             date=time.strftime("%Y-%m-%d"),
             scale=scale,
             policy=policy,
@@ -397,11 +395,9 @@ class Benchmark(Experiment):
         """The learning curve of what was trained here, as far as there are scores."""
         if not entry.trains or any(task.reference is None for task in tasks.values()):
             return ()
-        if entry.training_scenario is not None:
+        if entry.trains_on is not None:
             runs = [part.run for part in self._parts_of(name, entry)]
-            return _validation_curve(
-                [validation_scores(run, entry.training_scenario) for run in runs]
-            )
+            return _validation_curve([validation_scores(run, entry.trains_on) for run in runs])
         episodes = entry.options["train"]["episodes"]
         at = np.unique(np.geomspace(1, episodes, POINTS).round().astype(int))
         curves = []
@@ -448,3 +444,8 @@ def _validation_curve(
     scores = [np.interp(at, *np.array(curve).T) for curve in seeds]
     means = np.mean(scores, axis=0)
     return tuple((int(i), round(float(mean), 6)) for i, mean in zip(at, means, strict=True))
+
+
+def _printable(text: str) -> str:
+    """A text in one line, with escapes in place of control characters."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)

@@ -1,7 +1,7 @@
 """The leaderboard: a page with a table and plots for each scenario, from result files alone.
 
 References only get better. So that all rows of a scenario are scored alike, each problem has the
-best reference that any of its files knows.
+best reference that any of its files or the package knows.
 """
 
 import os
@@ -13,6 +13,7 @@ from typing import Any
 from marouting import InputError, scenarios
 from marouting.config import check
 from marouting.files import is_file, write_text
+from marouting.scenarios.references import Best, references_in
 from marouting.scenarios.score import Figures
 from policies.experiment.result import Result, Task, read_result, summarise
 from policies.results.rows import RESULTS
@@ -51,13 +52,25 @@ def read_groups(results: Path) -> dict[_Group, list[Result]]:
     order = sorted(
         found, key=lambda group: (known.index(group[0]) if group[0] in known else len(known), group)
     )
-    return {group: _aligned(found[group]) for group in order}
+    return {group: _aligned(found[group], _shipped(*group)) for group in order}
 
 
-def _aligned(found: Mapping[Path, Result]) -> list[Result]:
-    """Results of one scenario with the best solutions that one of them knows, the best first."""
+def _shipped(scenario: str, split: str) -> dict[str, Best]:
+    """The references of a split that come with the package; none for a scenario of one's own."""
+    for known in (*scenarios.PLANNING, *scenarios.COOPERATION):
+        if known.name == scenario:
+            best = references_in(known.references).references.values()
+            return {each.problem: each for each in best if each.problem.startswith(f"{split}_")}
+    return {}
+
+
+def _aligned(found: Mapping[Path, Result], shipped: Mapping[str, Best]) -> list[Result]:
+    """Results of one scenario with the best solutions that are known, the best first."""
     first = next(iter(found))
     tasks, scale = found[first].by_name, found[first].scale
+    if shipped:
+        what = f"those of {found[first].scenario}, {found[first].split}"
+        check(f"{first}: tasks", tasks.keys() == shipped.keys(), what)
     names: dict[str, Path] = {}
     for file, result in found.items():
         twice = f"another than {result.name}, as in {names.get(result.name)}"
@@ -69,12 +82,18 @@ def _aligned(found: Mapping[Path, Result]) -> list[Result]:
             where = f"{file}: tasks: {task.problem}: astar"
             check(where, task.astar == known.astar, f"{list(known.astar)}, as in {first}")
         check(f"{file}: scale", result.scale == scale, f"that of {first}, found another")
-    tasks = {problem: _best_known(task, found) for problem, task in tasks.items()}
+    tasks = {name: _best_known(task, found, shipped.get(name)) for name, task in tasks.items()}
     return sorted((_rescored(result, tasks) for result in found.values()), key=_rank)
 
 
-def _best_known(task: Task, found: Mapping[Path, Result]) -> Task:
-    """A task with the best solution of it that results know; raises InputError if it cannot be."""
+def _best_known(task: Task, found: Mapping[Path, Result], shipped: Best | None) -> Task:
+    """A task with the best solution that is known; raises InputError if it cannot be.
+
+    Args:
+        task: the task.
+        found: results, whose references and solutions count.
+        shipped: the reference that comes with the package, if there is one.
+    """
     references: list[tuple[Figures, str]] = []
     optimum: Figures | None = None
     for file, result in found.items():
@@ -82,6 +101,9 @@ def _best_known(task: Task, found: Mapping[Path, Result]) -> Task:
         if own.reference is not None:
             references.append((Figures(*own.reference), f"{file}: tasks"))
             optimum = references[-1][0] if own.proven else optimum
+    if shipped is not None:
+        references.append((Figures(0, shipped.overflow, shipped.wirelength), "the package"))
+        optimum = references[-1][0] if shipped.proven else optimum
     if not references:
         return task
     routed = [

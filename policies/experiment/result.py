@@ -22,7 +22,7 @@ from marouting.files import read_text, write_text
 from marouting.scenarios.score import Figures, score
 from policies.experiment.config import Split
 from policies.experiment.played import About
-from policies.results.rows import LARGEST, Count, Measure, Name, Row, Seconds
+from policies.results.rows import LARGEST, Count, Line, Measure, Name, Row, Seconds
 from policies.results.statistics import bootstrap_interval, gap, interquartile_mean
 
 MOST_BYTES = 2**26
@@ -168,10 +168,10 @@ class Result:
     name: Name
     router: Name
     options: dict[str, Any]
-    budget: str | None = None
-    version: str
-    machine: str
-    command: str
+    budget: Line | None = None
+    version: Line
+    machine: Line
+    command: Line
     date: Annotated[str, Meets(re.compile("[0-9]{4}-[0-9]{2}-[0-9]{2}").fullmatch, "YYYY-MM-DD")]
     scale: Scale | None = None
     policy: About | None = None
@@ -212,6 +212,8 @@ class Result:
             check("tasks", known_tasks, "the number of two-pin tasks of each")
             known_best = all(task.reference is not None for task in self.tasks)
             check("tasks", known_best, "the reference of each")
+        drawn = len({row.seed is None for row in self.outcomes}) == 1
+        check("outcomes", drawn, "a seed in all of them or in none")
         check("policy", (self.policy is None) == (self.scale is None), "one with a scale")
         whole = len(seeds) == len(self.tasks) and len(set(seeds.values())) == 1
         check("outcomes", whole, "every problem with the same number of seeds")

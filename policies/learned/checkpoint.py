@@ -20,7 +20,7 @@ from marouting import InputError
 from marouting.config import check_code
 from marouting.files import unusable
 
-POLICY_FORMAT, TRAINING_FORMAT = "marouting-policy-1", "marouting-training-7"
+POLICY_FORMAT, TRAINING_FORMAT = "marouting-policy-1", "marouting-training-8"
 """Mark a file of trained networks, and the checkpoint of a training, which holds them too; the
 number goes up when the content changes."""
 

@@ -109,6 +109,7 @@ class TrainedPolicy:
         negotiation: its prices; None: none.
         training: what its training took, as :class:`policies.results.run_folder.TrainingFigures`.
         learner: the name of what learned it.
+        network: what the network is, as a configuration says it; None: not known.
     """
 
     def __init__(
@@ -121,8 +122,9 @@ class TrainedPolicy:
         negotiation: Negotiation | None = None,
         training: Mapping[str, Any] | None = None,
         learner: str = "",
+        network: Any = None,
     ) -> None:
-        self.training, self.learner = dict(training or {}), learner
+        self.training, self.learner, self.network = dict(training or {}), learner, network
         self.module, self.masking = module, masking
         self.obs_shape, self.env, self.origin = obs_shape, env, origin
         self.negotiation = negotiation
@@ -171,7 +173,8 @@ class TrainedPolicy:
             raise InputError(f"{where}: weights do not fit the network: {reason}") from None
         origin = policy_origin(kept["episodes"][row])
         about = kept.get("negotiation"), asdict(kept.get("figures") or TrainingFigures())
-        return TrainedPolicy(module, masking, obs_shape, env, origin, *about, learner.name)
+        network = plain(getattr(learner.options, "network", None))
+        return TrainedPolicy(module, masking, obs_shape, env, origin, *about, learner.name, network)
 
     def act(self, observation: NDArray[np.float32], mask: NDArray[np.int8]) -> int:
         """The best of the moves for an observation (*S) and mask (A,) of an environment."""

@@ -160,8 +160,22 @@ _GENERATED = 10
 LENGTHS = ("episodes", "steps", "seconds")
 """Keys of ``train`` that end a training; a run that is resumed may be given larger numbers."""
 
+_WITHOUT_EFFECT = (
+    "device", "threads", "checkpoint_seconds", "tensorboard", "wandb", "reference", "figures",
+)  # fmt: skip
+"""Keys of ``train`` on which no weight depends."""
+
 FALLING = ("epsilon_final", "anneal")
 """Options of learners that depend on how long the training is."""
+
+
+def _decisive(config: Config) -> dict[str, Any]:
+    """What weights depend on, as plain data: all but the folder and how long the training is."""
+    kept: dict[str, Any] = plain(config)
+    for name in (*LENGTHS, *_WITHOUT_EFFECT):
+        del kept["train"][name]
+    del kept["out"]
+    return kept
 
 
 class Run:
@@ -243,7 +257,7 @@ class Run:
             )
 
     def _check_same(self) -> None:
-        """A resumed run has the configuration that it started with, or is longer."""
+        """A resumed run has the configuration of its folder, or is longer."""
         with allowing_code_of(self.config):
             kept = load_config(self.folder / CONFIG)
         for name in LENGTHS:
@@ -263,6 +277,7 @@ class Run:
         with allowing_code_of(self.config):
             state = read_checkpoint(path, training=True)
         try:
+            check_same(_decisive(self.config), state["config"], path)
             self._seconds, self._logged = state["seconds"], state["logged"]
             self._evaluated = state["evaluated"]
             self._processor_seconds = state["figures"]["processor_seconds"]
@@ -284,9 +299,14 @@ class Run:
             raise InputError(f"{path}: expected a complete checkpoint: {error!r}") from None
 
     def _state(self) -> dict[str, Any]:
-        logged = {"logged": self._logged, "evaluated": self._evaluated}
-        taken = {"figures": asdict(self.figures), "seconds": self._seconds}
-        return {**self.trainer.state(), **taken, **logged}
+        return {
+            **self.trainer.state(),
+            "config": _decisive(self.config),
+            "figures": asdict(self.figures),
+            "seconds": self._seconds,
+            "logged": self._logged,
+            "evaluated": self._evaluated,
+        }
 
     @property
     def figures(self) -> TrainingFigures:
@@ -420,6 +440,8 @@ class Run:
                 """Writes the checkpoint; then answers a signal that has been held back."""
                 self._seconds = time.monotonic() - started
                 self._processor_seconds = time.process_time() - self._began
+                if not exists(self.folder / CONFIG):
+                    raise InputError(f"{self.folder}: expected this run's folder, which is gone")
                 self._logged, self._evaluated = logs.flush()
                 _save(self._state(), self.folder / CHECKPOINT)
                 held.leave()

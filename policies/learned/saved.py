@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from policies.generalist import SHIPPED
 from policies.learned.checkpoint import POLICY_FORMAT
 from policies.learned.config import Config
 from policies.learned.policy import TrainedPolicy, check_weights, policy_origin
-from policies.results.run_folder import GreedyEvaluation
+from policies.results.run_folder import GreedyEvaluation, policy_file
 
 _SHIPPED = "generalist"
 """What ``train.start`` calls the weights that are shipped."""
@@ -98,7 +99,8 @@ class SavedNetworks:
         config = self._config
         if config.train.start is None:
             return []
-        path = SHIPPED if config.train.start == _SHIPPED else config.train.start
+        start = config.train.start
+        path = SHIPPED if start == _SHIPPED else policy_file(Path(start)) or start
         network = self._network()
         weights: list[Mapping[str, Tensor]] = []
         for name in self._names:
@@ -107,6 +109,9 @@ class SavedNetworks:
             expected, found = plain(config.env.observation), plain(policy.env.observation)
             what = f"networks that see {expected}, found {found} in {path}"
             check("train.start", found == expected, what)
+            expected = plain(getattr(config.learner.options, "network", None))
+            what = f"networks {expected}, found {policy.network} in {path}"
+            check("train.start", policy.network == expected, what)
             weights.append(policy.module.state_dict())
             try:
                 check_weights(weights[-1], network)

@@ -28,6 +28,9 @@ Row = dict[str, Any]
 Name = Annotated[str, Meets(is_file_name, FILE_NAME)]
 """The name of a set, a problem or a router: files are called after it."""
 
+Line = Annotated[str, Meets(str.isprintable, "one line without control characters")]
+"""A text that pages and tables show."""
+
 Count = Annotated[int, between(0, 2**63 - 1)]
 """A whole number from 0."""
 

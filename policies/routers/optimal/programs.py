@@ -72,7 +72,7 @@ class Deadline:
 
         threading.Thread(target=work, name=LEFT_ALONE, daemon=True).start()
         try:
-            left = None if self.left == math.inf else max(self.left, 0.0) + _PATIENCE
+            left = min(max(self.left, 0.0) + _PATIENCE, threading.TIMEOUT_MAX)
             answer = answers.get(timeout=left)
         except queue.Empty:
             return None
