@@ -127,7 +127,7 @@ def test_scenarios_of_policies_have_one_game(options: dict[str, Any], expected: 
 
 
 def test_what_policies_may_choose_in_the_game_of_a_scenario() -> None:
-    options: dict[str, Any] = {"mask": {"visited": True, "in_observation": True}, "wait": True}
+    options: dict[str, Any] = {"mask": {"visited": True}, "wait": True}
     found = evaluate_policy(first, "gates-8x7-v0", "validation", message_bits=1, **options)
     assert found.score == evaluate_policy(first, "gates-8x7-v0", "validation").score
 

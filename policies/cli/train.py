@@ -61,8 +61,9 @@ def train(
 
         settings = load_config(config or (resume and resume / "config.yaml"), overrides)
         if resume is not None:
-            moved = any(text.startswith("out=") for text in overrides)
-            check("out", not moved, "no key out beside --resume, which goes on in its folder")
+            given = any(text.startswith("out=") for text in overrides)
+            moved = given and Path(settings.out).resolve() != resume.resolve()
+            check("out", not moved, f"{resume}, where --resume goes on, found {settings.out}")
             settings = replace(settings, out=str(resume))
         run = Run(settings, resume=resume is not None)
 
