@@ -160,16 +160,14 @@ _GENERATED = 10
 LENGTHS = ("episodes", "steps", "seconds")
 """Keys of ``train`` that end a training; a run that is resumed may be given larger numbers."""
 
-_WITHOUT_EFFECT = (
-    "device", "threads", "checkpoint_seconds", "tensorboard", "wandb", "reference", "figures",
-)  # fmt: skip
+_WITHOUT_EFFECT = "threads", "checkpoint_seconds", "tensorboard", "wandb", "reference", "figures"
 """Keys of ``train`` on which no weight depends."""
 
 FALLING = ("epsilon_final", "anneal")
 """Options of learners that depend on how long the training is."""
 
 
-def _decisive(config: Config) -> dict[str, Any]:
+def _affecting_weights(config: Config) -> dict[str, Any]:
     """What weights depend on, as plain data: all but the folder and how long the training is."""
     kept: dict[str, Any] = plain(config)
     for name in (*LENGTHS, *_WITHOUT_EFFECT):
@@ -277,7 +275,7 @@ class Run:
         with allowing_code_of(self.config):
             state = read_checkpoint(path, training=True)
         try:
-            check_same(_decisive(self.config), state["config"], path)
+            check_same(_affecting_weights(self.config), state["config"], path)
             self._seconds, self._logged = state["seconds"], state["logged"]
             self._evaluated = state["evaluated"]
             self._processor_seconds = state["figures"]["processor_seconds"]
@@ -301,7 +299,7 @@ class Run:
     def _state(self) -> dict[str, Any]:
         return {
             **self.trainer.state(),
-            "config": _decisive(self.config),
+            "config": _affecting_weights(self.config),
             "figures": asdict(self.figures),
             "seconds": self._seconds,
             "logged": self._logged,
