@@ -420,7 +420,7 @@ def test_a_summary_worked_out_by_hand(tmp_path: Path) -> None:
         made(outcomes=(low,))
 
 
-OWN = "own-gates"
+MADE_UP = "own-gates"
 """Results of the package's own scenarios have to agree with its references."""
 
 
@@ -428,8 +428,8 @@ def test_policies_have_a_table_of_their_own(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     results = tmp_path / "results"
-    made("mine", scenario=OWN, curve=((100, -0.5), (1000, 0.9))).write(results)
-    made("bound", scenario=OWN, policy=About(sight="planner"), costs=(100,)).write(results)
+    made("mine", scenario=MADE_UP, curve=((100, -0.5), (1000, 0.9))).write(results)
+    made("bound", scenario=MADE_UP, policy=About(sight="planner"), costs=(100,)).write(results)
     task = Task(problem="a", astar=(0, 0, 120), reference=(0, 0, 100), proven=True)
     row = Outcome(problem="a", seed=None, open=0, overflow=0, wirelength=110, score=0.5)
     plain = made(scenario="a-toy", scale=None, policy=None, tasks=(task,), outcomes=(row,))
@@ -440,14 +440,14 @@ def test_policies_have_a_table_of_their_own(
     assert names == [
         "page.md",
         "a-toy-scores.png",
-        f"{OWN}-scores.png",
-        f"{OWN}-curves.png",
+        f"{MADE_UP}-scores.png",
+        f"{MADE_UP}-curves.png",
     ]
     planners, policies = page.read_text(encoding="utf-8").split("## Policies")
     assert f"--out {results.as_posix()} --leaderboard {page.as_posix()}` from" in planners
     assert "in [results](results);" in planners
     assert "### a-toy" in planners
-    assert OWN not in planners
+    assert MADE_UP not in planners
     lines = [line for line in policies.splitlines() if line.startswith("| `")]
     assert [line.split(" | ")[0] for line in lines] == ["| `bound`", "| `mine`"]
     assert " planner | ? | ? | ? | " in lines[0]
@@ -455,7 +455,7 @@ def test_policies_have_a_table_of_their_own(
         " | 1.1500 | 66.7 | 91.7 | 7.50 | radius 3 | no | 1 234 | 1 000 000 | 4 s | 3 |" in lines[1]
     )
     # A score from another rule is not comparable.
-    made("other", scenario=OWN, scale=Scale(local_rule=1.3, open_cost=20)).write(results)
+    made("other", scenario=MADE_UP, scale=Scale(local_rule=1.3, open_cost=20)).write(results)
     with pytest.raises(InputError, match="scale: expected that of"):
         read_groups(results)
 
