@@ -18,11 +18,15 @@ class InputError(ValueError):
     """
 
     def __init__(self, message: str) -> None:
-        line = message.replace("\n", " ")
-        line = "".join(sign if sign.isprintable() else ascii(sign)[1:-1] for sign in line)
+        line = printable(message.replace("\n", " "))
         if len(line) > LONGEST:
             line = f"{line[: LONGEST - 103]} … {line[-100:]}"
         super().__init__(line)
+
+
+def printable(text: str) -> str:
+    """A text in one line, with escape sequences for what is not printable."""
+    return "".join(sign if sign.isprintable() else ascii(sign)[1:-1] for sign in text)
 
 
 class UnknownOption(InputError, TypeError):

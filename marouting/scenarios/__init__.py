@@ -26,12 +26,15 @@ from marouting.scenarios.references import Best, Reference
 from marouting.scenarios.scenario import SPLITS, Generator, Scenario, Split, routable
 
 __all__ = [
-    "COOPERATION", "PLANNING", "SPLITS", "Best", "Generator", "RandomNets", "Reference", "Scenario",
-    "Split", "digest", "get", "load", "loaded", "mirror_digest", "names", "register", "routable",
+    "COOPERATION", "PLANNING", "SHIPPED", "SPLITS", "Best", "Generator", "RandomNets", "Reference",
+    "Scenario", "Split", "digest", "get", "load", "loaded", "mirror_digest", "names", "register",
+    "routable",
 ]  # fmt: skip
 
-_shipped = {scenario.name: scenario for scenario in (*PLANNING, *COOPERATION)}
-_known = dict(_shipped)
+SHIPPED = {scenario.name: scenario for scenario in (*PLANNING, *COOPERATION)}
+"""The scenarios of the package by name."""
+
+_known = dict(SHIPPED)
 _imported: dict[str, Scenario] = {}  # by module:NAME
 
 
@@ -96,6 +99,6 @@ def register(name: str, generator: Generator, **options: Any) -> Scenario:
         InputError: a scenario of the package has this name, or an argument cannot be used.
     """
     scenario = Scenario(name, generator, **options)
-    check("name", name not in _shipped, f"another one: the package has a scenario {name}")
+    check("name", name not in SHIPPED, f"another one: the package has a scenario {name}")
     _known[name] = scenario
     return scenario

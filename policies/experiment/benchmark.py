@@ -21,6 +21,7 @@ import numpy as np
 
 from marouting import InputError, __version__, evaluate, scenarios, sequential_astar
 from marouting.config import build, build_json, check
+from marouting.errors import printable
 from marouting.files import is_dir, is_file, read_text, stem_of, suffix_of
 from marouting.scenarios.score import Figures
 from marouting.yaml_files import override, read_yaml
@@ -339,7 +340,7 @@ class Benchmark(Experiment):
             budget=entry.allowed,
             version=__version__,
             machine=", ".join((processor(), size, platform.system())),
-            command=_printable(" ".join([shlex.join(command), self.sources[entry.name], *seeds])),
+            command=printable(" ".join([shlex.join(command), self.sources[entry.name], *seeds])),
             date=time.strftime("%Y-%m-%d"),
             scale=scale,
             policy=policy,
@@ -444,8 +445,3 @@ def _validation_curve(
     scores = [np.interp(at, *np.array(curve).T) for curve in seeds]
     means = np.mean(scores, axis=0)
     return tuple((int(i), round(float(mean), 6)) for i, mean in zip(at, means, strict=True))
-
-
-def _printable(text: str) -> str:
-    """A text in one line, with escapes in place of control characters."""
-    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)

@@ -56,12 +56,11 @@ def read_groups(results: Path) -> dict[_Group, list[Result]]:
 
 
 def _shipped(scenario: str, split: str) -> dict[str, Best]:
-    """The references of a split that come with the package; none for a scenario of one's own."""
-    for known in (*scenarios.PLANNING, *scenarios.COOPERATION):
-        if known.name == scenario:
-            best = references_in(known.references).references.values()
-            return {each.problem: each for each in best if each.problem.startswith(f"{split}_")}
-    return {}
+    """The references of a split that come with the package; none for your own scenarios."""
+    if scenario not in scenarios.SHIPPED:
+        return {}
+    best = references_in(scenarios.SHIPPED[scenario].references).references.values()
+    return {each.problem: each for each in best if each.problem.startswith(f"{split}_")}
 
 
 def _aligned(found: Mapping[Path, Result], shipped: Mapping[str, Best]) -> list[Result]:

@@ -88,9 +88,8 @@ def _better(known: Best, new: Best) -> Best:
 def _with_references(name: str) -> Scenario:
     """A scenario with a file for its references; raises InputError."""
     scenario = scenarios.load(name)
-    shipped = scenario in (*scenarios.PLANNING, *scenarios.COOPERATION)
     what = "a file to write them to, in scenarios.register(…, references=…)"
-    fits = shipped or scenario.references.parent != FOLDER
+    fits = scenario.name in scenarios.SHIPPED or scenario.references.parent != FOLDER
     check(f"{scenario.name}: references", fits, what)
     return scenario
 

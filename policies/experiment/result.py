@@ -212,8 +212,8 @@ class Result:
             check("tasks", known_tasks, "the number of two-pin tasks of each")
             known_best = all(task.reference is not None for task in self.tasks)
             check("tasks", known_best, "the reference of each")
-        drawn = len({row.seed is None for row in self.outcomes}) == 1
-        check("outcomes", drawn, "a seed in all of them or in none")
+        alike = len({row.seed is None for row in self.outcomes}) <= 1
+        check("outcomes", alike, "a seed in all of them or in none")
         check("policy", (self.policy is None) == (self.scale is None), "one with a scale")
         whole = len(seeds) == len(self.tasks) and len(set(seeds.values())) == 1
         check("outcomes", whole, "every problem with the same number of seeds")

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from marouting.errors import InputError
+from marouting.errors import InputError, printable
 from marouting.problem.grid import VIA_AXIS, Grid
 from marouting.render import Scene, colour_of
 from policies.figures.routes import side_by_side
@@ -42,7 +42,7 @@ def svg(scenes: Sequence[Scene], title: str, fps: float) -> str:
     """
     film = _Film(scenes, fps)
     # The name of a file may hold what XML does not take.
-    name = html.escape("".join(c if c.isprintable() else ascii(c)[1:-1] for c in title))
+    name = html.escape(printable(title))
     parts = [
         *film.ground(),
         *film.walls(),

@@ -109,7 +109,7 @@ class TrainedPolicy:
         negotiation: its prices; None: none.
         training: what its training took, as :class:`policies.results.run_folder.TrainingFigures`.
         learner: the name of what learned it.
-        network: what the network is, as a configuration says it; None: not known.
+        network: the network's kind and options, as in a configuration; None: not known.
     """
 
     def __init__(
