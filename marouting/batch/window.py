@@ -317,10 +317,15 @@ def move_order(
         inverse, so ``numpy.take_along_axis(values, move_order(obs), -1)`` turns masks and values
         (…, A) of the grid into those of the window, and back.
     """
-    swapped = (obs[..., :2] < 0).repeat(2, axis=-1)  # +x with −x, and +y with −y
-    vias = np.zeros((*obs.shape[:-1], MOVES - 2 * VIA_AXIS), np.bool_)
-    order = np.arange(MOVES) ^ np.concatenate((swapped, vias), axis=-1)
+    turned = obs[..., :VIA_AXIS] < 0
+    order = _ORDERS.take(turned[..., 0] + 2 * turned[..., 1], axis=0)
     return all_actions(order, actions, messages)
+
+
+_ORDERS = np.arange(MOVES) ^ [
+    [swaps_x, swaps_x, swaps_y, swaps_y, 0, 0] for swaps_y in range(2) for swaps_x in range(2)
+]
+"""(4, 6) int64, the moves where the window is turned in neither direction, in x, in y, in both."""
 
 
 def mirrored(
