@@ -91,6 +91,23 @@ def in_this_process(parts: Sequence[Any], *_: Any) -> Iterator[list[Any]]:
         yield [part]
 
 
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are empty files, in tests of other things: to draw one takes a third of a second."""
+
+    def savefig(_figure: Any, path: Path, **_: Any) -> None:
+        path.touch()
+
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", savefig)
+
+
+@pytest.fixture(autouse=True)
+def _coarse_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures have few dots, which take less time to draw and to compress."""
+    if "policies.figures.style" in sys.modules:
+        monkeypatch.setattr(sys.modules["policies.figures.style"], "DPI", 50)
+
+
 @pytest.fixture(autouse=True)
 def _no_solver_was_left(monkeypatch: pytest.MonkeyPatch) -> None:
     """The command line ends a process at once if a solver is at work: not that of the tests."""

@@ -174,7 +174,7 @@ def test_files_name_no_code_unless_the_command_says_so(
     assert (here / "ran").exists()
 
 
-@pytest.mark.usefixtures("at_once")
+@pytest.mark.usefixtures("at_once", "undrawn")
 def test_what_the_user_says_is_code_that_may_run(
     here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1184,6 +1184,7 @@ def test_resume_of_nothing(refused: Callable[..., str]) -> None:
     assert "environment: unknown key" in refused("train", "environment.problem=p")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_every_key_of_a_training_has_a_default(
     here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -78,7 +78,7 @@ def test_every_command_has_an_option_for_json() -> None:
 
 
 @pytest.mark.parametrize(("name", "given"), COMMANDS.items(), ids=COMMANDS)
-@pytest.mark.usefixtures("here")
+@pytest.mark.usefixtures("here", "undrawn")
 def test_one_object_on_standard_output(
     name: str, given: tuple[list[str], set[str]], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -121,7 +121,7 @@ def test_seconds_are_those_of_routing(slow: str, capsys: pytest.CaptureFixture[s
     assert json.loads(capsys.readouterr().out)["seconds"] < 0.25
 
 
-@pytest.mark.usefixtures("here", "at_once")
+@pytest.mark.usefixtures("here", "at_once", "undrawn")
 def test_seconds_of_an_experiment_are_those_of_routing(slow: str, tmp_path: Path) -> None:
     changes = [f"routers.slow.router={slow}", f"out={tmp_path / 'out'}"]
     Experiment(load_experiment("e.yaml", changes)).execute()

@@ -268,6 +268,7 @@ def test_commands(
     assert judged("evaluate", "p.gr", "a.solution.gz")["wirelength"] == routed["wirelength"]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_pictures_of_a_compressed_problem(plain: Path, tmp_path: Path) -> None:
     put(plain, {"q.gr.gz": GR, "q.txt": GR, "q.astar.solution.gz": SOLUTION}, "gzip")
     for name in ("q.gr.gz", "q.txt"):

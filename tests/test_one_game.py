@@ -402,7 +402,7 @@ def test_copies_pay_what_the_original_pays(
         twins.append(other)
     rngs = [np.random.default_rng(seed + 1) for _ in (env, *twins)]
     told = []
-    for _ in range(40):
+    for _ in range(20):
         told.append(step(env, rngs[0]))
         for twin, own in zip(twins, rngs[1:], strict=True):
             same(step(twin, own), told[-1])
