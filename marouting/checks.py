@@ -15,8 +15,8 @@ def check_fields(options: Any, kind: Any = None, **bounds: tuple[float, float]) 
         **bounds: the least and the greatest value of a field.
 
     Raises:
-        InputError: a value is none of its field's; the message names the field, what was expected
-            and what was found.
+        InputError: a value is not valid for its field; the message names the field, what was
+            expected and what was found.
     """
     schema: Any = kind or type(options)
     for name, hint in hints_of(schema).items():

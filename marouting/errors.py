@@ -32,7 +32,7 @@ def printable(text: str) -> str:
 class UnknownOption(InputError, TypeError):
     """A keyword argument that an environment does not have.
 
-    It is the TypeError that Python raises as well, and says so in Python's words: some libraries
+    It is also a TypeError, as Python raises, and is worded as Python words it: some libraries
     offer options of their own to every environment, and withdraw those that it refuses in this way.
     """
 

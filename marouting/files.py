@@ -100,7 +100,7 @@ def is_zipped(path: str | os.PathLike[str]) -> bool:
 
 
 def beside(path: str | os.PathLike[str], suffix: str) -> Path:
-    """The file named as another but for its suffix, also in capitals or with ``.gz`` after it."""
+    """The file with a path's name but this suffix, also in capitals or with ``.gz`` after it."""
     folder, stem = Path(path).parent, stem_of(path)
     plain = folder / f"{stem}{suffix}"
     if not plain.exists():

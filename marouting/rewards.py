@@ -410,7 +410,7 @@ class TeamPay:
 
     @staticmethod
     def of(reward: Reward) -> "TeamPay | None":
-        """That of a reward, or None if it has other prices or none."""
+        """That of a reward; None without prices, or with prices for other nets or for distance."""
         prices = prices_of(reward)
         if prices is None or prices.shared[[Share.OTHERS, Share.NEARER]].any():
             return None

@@ -101,7 +101,7 @@ class Rules:
         next_pin: which task is next: ``listed``, in the order of the decomposition (the paper), or
             ``nearest``, that of the unconnected pin nearest to the net's tree; not with Steiner
             trees.
-        release_failed: whether a failed task releases the edges that it used.
+        release_failed: whether a failed task releases the edges that the net first used in it.
         nets: the nets' order and decomposition, a :class:`Nets` or a mapping of its fields.
         mask: the action mask, a :class:`Mask` or a mapping of its fields.
         rip_up: rip-up and reroute, a :class:`RipUp` or a mapping of its fields; None: off.

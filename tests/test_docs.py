@@ -35,6 +35,7 @@ import marouting
 from marouting import registry
 from marouting.config import build
 from policies.cli.main import status
+from policies.experiment import ExperimentConfig
 from policies.learned.config import Config
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -249,8 +250,9 @@ def run_python(block: Block, _: pytest.MonkeyPatch) -> None:
 
 
 def check_yaml(block: Block, _: pytest.MonkeyPatch) -> None:
-    """A part of a training's configuration."""
-    build(Config, yaml.safe_load(block.code))
+    """A configuration of an experiment, or a part of a training's."""
+    found = yaml.safe_load(block.code)
+    build(ExperimentConfig if "routers" in found else Config, found)
 
 
 def check_toml(block: Block, _: pytest.MonkeyPatch) -> None:

@@ -75,7 +75,7 @@ class Experiment:
         if not isinstance(routers, Mapping):
             training = "env" in raw or "learner" in raw
             found = "a training" if training else f"{CONFIG} without routers"
-            raise InputError(f"{self.folder}: holds {found}: expected another out=")
+            raise InputError(f"{self.folder}: holds {found}: expected another folder for out")
         asked = self.config.routers
         self._stored_routers = dict(routers)
         entries = {name: entry for name, entry in routers.items() if name in asked} or asked
@@ -87,7 +87,9 @@ class Experiment:
         try:
             check_same(self._rows_depend_on(self.config, before), theirs, kept)
         except InputError as error:
-            raise InputError(f"{error}: give another out, or the router another name") from None
+            raise InputError(
+                f"{error}: expected another folder for out, or another name for the router"
+            ) from None
         return before
 
     def _rows_depend_on(
@@ -155,7 +157,7 @@ class Experiment:
                 found = "another" if problem in kept else "none"
                 raise InputError(
                     f"{file}: expected the problem of {name}, found {found}: if the set has "
-                    "changed, give another out="
+                    "changed, give another folder for out"
                 )
 
     def _write_inputs(self, before: ExperimentConfig | None) -> None:
@@ -221,7 +223,7 @@ class Experiment:
                 if now[name] != before[name]:
                     raise InputError(
                         f"{name}: changed since the rows in {self.folder} were made: expected "
-                        "another out"
+                        "another folder for out"
                     )
             if now or entry.name in kept:
                 kept[entry.name] = before | now
