@@ -235,8 +235,8 @@ def test_rows_of_what_has_changed_since_are_refused(
         file.write_text(f"{before}\n")
         assert status(benchmark(*words, out=out)) == 2
         error = capsys.readouterr().err.splitlines()[-1]
-        said = f"{named}: changed since the rows in {out} were made: expected another folder for out"
-        assert error == f"marouting: {said}"
+        said = f"{named}: changed since the rows in {out} were made"
+        assert error == f"marouting: {said}: expected another folder for out"
         file.write_text(before)
         assert status(benchmark(*words, out=out)) == 0
         # Without rows there is nothing that could be of another content.
