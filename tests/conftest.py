@@ -93,10 +93,10 @@ def in_this_process(parts: Sequence[Any], *_: Any) -> Iterator[list[Any]]:
 
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures are empty files, in tests of other things: to draw one takes a third of a second."""
+    """Figures are no pictures, in tests of other things: to draw one takes a third of a second."""
 
     def savefig(_figure: Any, path: Path, **_: Any) -> None:
-        path.touch()
+        path.write_text("no picture")
 
     monkeypatch.setattr("matplotlib.figure.Figure.savefig", savefig)
 
