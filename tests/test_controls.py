@@ -323,6 +323,20 @@ def test_controls_that_cannot_be(
     assert message in str(caught.value)
 
 
+def test_what_is_no_problem_or_no_controls() -> None:
+    with pytest.raises(InputError, match="problem: expected a Problem, "):
+        adjusted("p.gr", Controls())  # type: ignore[arg-type]
+    for wrong in (None, {"layers": 1}):
+        with pytest.raises(InputError, match="controls: expected Controls, found"):
+            adjusted(FOUR, wrong)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("tile", [(2000,), 2000, ("2000", "2000"), (2000.5, 2000), (1, 2, 3)])
+def test_a_tile_has_two_whole_sides(tile: Any) -> None:
+    with pytest.raises(InputError, match="tile: expected a width and a height, found"):
+        Problem.read("chip.def", tile=tile)
+
+
 def test_kept_routes_that_cannot_be(tmp_path: Path) -> None:
     nets = Net("a", 1, (Pin(0, 0, 1), Pin(2, 0, 1))), Net("b", 2, (Pin(0, 0, 1), Pin(2, 0, 1)))
     problem = Problem((3, 1, 1), (0,), (2,), nets, (1,), (0,), (0,))
@@ -335,6 +349,9 @@ def test_kept_routes_that_cannot_be(tmp_path: Path) -> None:
         one.write(tmp_path / "p.gr")
     assert one.horizontal_capacity == (2,)
     assert one.capacity_of(np.array([0, 3])).tolist() == [1, 1]
+    with pytest.raises(InputError, match="problem: expected a problem of which no nets are kept"):
+        adjusted(one, Controls(derate={"1": 0.5}))
+    assert adjusted(one, Controls()) is one
     sequential_astar(problem).write(file)
     with pytest.raises(InputError, match="keep: expected at least one net that does not stay"):
         adjusted(problem, Controls(keep=str(file)))

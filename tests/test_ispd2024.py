@@ -8,15 +8,29 @@ import math
 import warnings
 from pathlib import Path
 
+import networkx
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from marouting import Area, Controls, InputError, Problem, Solution, adjusted, evaluate
+from marouting import (
+    Area,
+    Controls,
+    InputError,
+    Net,
+    Pin,
+    Problem,
+    Solution,
+    adjusted,
+    evaluate,
+    sequential_astar,
+)
+from marouting.problem.chip import Chip
 from marouting.problem.contest import contest_cost, with_pins_covered
 from marouting.problem.grid import AXES, VIA_AXIS
 from policies.cli.main import status
+from policies.routers.optimal import OptimalRouter
 from policies.routers.pathfinder import PathfinderOptions, PathfinderRouter
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "ispd24"
@@ -97,6 +111,51 @@ def test_what_a_problem_says(files: Path) -> None:
     assert problem.chip is not None
     assert problem.chip.layers == ("m1", "m2", "m3")
     assert Problem.read(files, net=files.with_suffix(".net")) == problem
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_routers_lay_wires_only_along_their_layers(seed: int) -> None:
+    """The optimum among such routes is also that of networkx's shortest paths, for a net alone."""
+    rng = np.random.default_rng(seed)
+    wires = rng.permutation([[True, False], [False, True], [False, False], [True, False]])
+    nets = [
+        Net(
+            f"n{i}",
+            i,
+            tuple(Pin(*map(int, pin)) for pin in rng.integers((0, 0, 1), (4, 4, 5), (2, 3))),
+        )
+        for i in range(rng.integers(1, 6))
+    ]
+    sides, one = np.arange(5) * 10, (1,) * 4
+    vertical, horizontal = (tuple(map(int, wires[:, axis] * 1)) for axis in (1, 0))
+    problem = Problem(
+        (4, 4, 4), vertical, horizontal, tuple(nets), one, (0,) * 4, (0,) * 4,
+        chip=Chip(("a", "b", "c", "d"), sides, sides, wires),
+    )  # fmt: skip
+    closed = problem.closed.reshape(-1, 4, AXES)
+    assert (closed[:, :, :VIA_AXIS] == ~wires).all()
+    assert not closed[:, :, VIA_AXIS].any()
+    found = {
+        "astar": sequential_astar(problem),
+        "tree": sequential_astar(problem, target="tree"),
+        "pathfinder": PathfinderRouter(PathfinderOptions(passes=20)).solve(problem).solution,
+        "optimal": OptimalRouter().solve(problem).solution,
+    }
+    for name, solution in found.items():
+        assert evaluate(problem, solution).connected, name
+        assert not any(problem.closed[edges].any() for edges in solution.edges), name
+    figures = {
+        name: (evaluate(problem, solution).overflow, evaluate(problem, solution).wirelength)
+        for name, solution in found.items()
+    }
+    assert figures["optimal"] == min(figures.values())
+    if len(nets) == 1:
+        grid, graph = problem.topology, networkx.Graph()
+        edges = np.flatnonzero(grid.exists & ~problem.closed)
+        graph.add_edges_from(zip(*(end.tolist() for end in grid.ends(edges)), strict=True))
+        ends = problem.pin_gcells[0].tolist()
+        length = networkx.shortest_path_length(graph, ends[0], ends[-1])
+        assert figures["optimal"] == (0, length)
 
 
 def test_the_cost_by_hand(files: Path) -> None:

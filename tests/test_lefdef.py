@@ -471,6 +471,12 @@ BAD_DEF = [
         "net VDD: expected a via of VIAS or of the LEF files, found v9",
     ),
     (
+        "NETS 2 ;",
+        "SPECIALNETS 1 ;\n- VDD + ROUTED M2 100 ( 0 0 ) + VIA ;\nEND SPECIALNETS\nNETS 2 ;",
+        17,
+        "expected 'VIA name' of net VDD, found '+ VIA'",
+    ),
+    (
         "LAYER M1 ;\nTRACKS X",
         "LAYER M3 ;\nTRACKS X",
         5,

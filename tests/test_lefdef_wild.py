@@ -267,6 +267,10 @@ def test_a_pin_is_where_the_die_is(tmp_path: Path, notch: str, at: str, gcell: i
     swaps = ("( 0 0 ) ( 1000 1000 )", notch), ("( 900 0 )", at), ("( 200 100 )", "( 500 500 )")
     problem = Problem.read(design(tmp_path, swapped(DEF, *swaps)))
     assert problem.nets[0].pins[0] == (200 + 400 * gcell, 200, 2)
+    # Beyond the box around the die, beside what the die lacks.
+    outside = swaps[0], ("( 900 0 )", "( 0 -90 )" if gcell else "( 1000 0 )"), swaps[2]
+    with pytest.raises(InputError, match="pin in of PIN lies outside the die"):
+        Problem.read(design(tmp_path, swapped(DEF, *outside)))
 
 
 def test_no_net_is_left(tmp_path: Path) -> None:

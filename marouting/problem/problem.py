@@ -29,6 +29,7 @@ from marouting.problem.net import (
     Net,
     check_net,
     check_numbers,
+    is_whole,
     records,
     whole_numbers,
 )
@@ -255,6 +256,21 @@ class Problem:
         return edges
 
     @functools.cached_property
+    def closed(self) -> NDArray[np.bool_]:
+        """(E,) bool, the edges that no router lays wires on, at any price.
+
+        They are those of a chip along an axis along which their layer has no wires. A chip's layers
+        with wires along x, together with those along y, lead everywhere. Where they do not, no edge
+        is closed, and such wires are overflow as any other.
+        """
+        edges, chip = self.topology.edges, self.chip
+        if chip is None or not chip.wires.any(axis=0).all():
+            return np.broadcast_to(np.False_, (edges,))
+        closed = np.zeros((edges // (AXES * self.grid[2]), self.grid[2], AXES), np.bool_)
+        closed[:, :, :VIA_AXIS] = ~chip.wires
+        return closed.reshape(-1)
+
+    @functools.cached_property
     def layer_capacity(self) -> NDArray[np.int32]:
         """(Z, 3) capacity in tracks of the edges of each layer and axis that have no adjustment."""
         vias = (UNLIMITED,) * self.grid[2]
@@ -394,6 +410,11 @@ class Problem:
                 argument is for another format.
         """
         suffix = suffix_of(path)
+        if isinstance(lef, str | os.PathLike):
+            raise InputError(f"lef: expected a list of files, found {os.fspath(lef)}")
+        pair = isinstance(tile, tuple | list) and len(tile) == 2
+        if tile is not None and not (pair and all(map(is_whole, tile))):
+            raise InputError(f"tile: expected a width and a height, found {tile!r}")
         for name, given, own in (
             ("lef", lef, ".def"),
             ("tile", tile, ".def"),

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from marouting.errors import InputError
 from marouting.kernels import as_index, compiled, i64
 from marouting.memory import SEARCH, TABLES, check_memory
-from marouting.problem.grid import AXES, MOVES, VIA_AXIS, Grid
+from marouting.problem.grid import AXES, MOVES, OFF_GRID, VIA_AXIS, Grid
 from marouting.problem.problem import UNLIMITED, Problem, check_choice, check_problem
 from marouting.problem.solution import Solution
 from marouting.rules import NetOrder, Target, net_ranks
@@ -61,7 +61,7 @@ class Capacities(NamedTuple):
 
     neighbour: NDArray[np.int32]  # (G, 6) Gcell that a move leads to
     edge: NDArray[np.int32]  # (G, 6) edge that a move crosses
-    exits: NDArray[np.uint8]  # (G,) bit per move: it stays on the grid
+    exits: NDArray[np.uint8]  # (G,) bit per move: it leads somewhere
     position: NDArray[np.int32]  # (G, 3) x, y, z of a Gcell
     remaining: NDArray[np.int32]  # (E,) remaining capacity
     demand: NDArray[np.int32]  # (Z,) the net's demand on an edge of each layer
@@ -256,6 +256,17 @@ def _route(
     return turn, size
 
 
+def _exits(problem: Problem) -> NDArray[np.uint8]:
+    """(G,) bit per move: it crosses an edge that is not closed."""
+    grid = problem.topology
+    if not problem.closed.any():
+        return grid.exits
+    moves = (grid.neighbour != OFF_GRID) & ~problem.closed[grid.edge]
+    exits = np.packbits(moves, axis=1, bitorder="little").reshape(-1)
+    exits.setflags(write=False)  # as the grid's, or numba would compile the search once more
+    return exits
+
+
 def sequential_astar(
     problem: Problem,
     net_order: NetOrder | NDArray[np.integer] = "half_perimeter",
@@ -275,7 +286,8 @@ def sequential_astar(
             :func:`marouting.trees.decomposition.two_pin_tasks`.
 
     Returns:
-        A solution in which every net is joined, with overflow where A* found no cheaper way.
+        A solution in which every net is joined, with overflow where A* found no cheaper way. It
+        has no wires on edges that are closed (:attr:`marouting.Problem.closed`).
 
     Raises:
         InputError: there is no such order, target or decomposition, or the grid takes too much
@@ -302,7 +314,7 @@ def sequential_astar(
     way = Capacities(
         neighbour=grid.neighbour,
         edge=grid.edge,
-        exits=grid.exits,
+        exits=_exits(problem),
         position=grid.position,
         remaining=problem.capacity.copy(),
         demand=np.empty(grid.shape[2], np.int32),

@@ -171,7 +171,7 @@ def convert(
         raise InputError(f"--format: expected {', '.join(known)} for {what}, found {format}")
     check_apart(out, *problem.files, *([] if solution is None else [solution]))
     loaded = problem.read()
-    size, nets = list(loaded.grid), len(loaded.nets)
+    size, nets = list(loaded.grid), len((loaded.kept.whole if loaded.kept else loaded).nets)
     if solution is None:
         loaded.write(out, cast(Format, format or "ispd2008"))
         if lost := ", ".join(loaded.beyond_text):

@@ -417,6 +417,8 @@ def _check_vias(rest: list[str], design: Design, library: Library) -> None:
         elif word in ("+", "NEW"):  # up to the next point stand keywords, a layer and a width
             skip = True
             if [part.upper() for part in rest[at : at + 2]] == ["+", "VIA"]:
+                if at + 2 == len(rest):
+                    raise unexpected(f"'VIA name' of {what}", rest[at:])
                 _check_via(rest[at + 2], what, design, library)
         elif not inside and not skip:
             if word == "DO":

@@ -268,6 +268,8 @@ def _located_pins(design: Design, shapes: Shapes) -> tuple[NDArray[np.int64], ND
     placed, on_die = owner, (boxes[:, 1] < right) & (boxes[:, 3] > left)
     on_die &= (boxes[:, 2] < high) & (boxes[:, 4] > low)
     owner, boxes = owner[on_die], boxes[on_die]
+    boxes[:, 1:3] = np.maximum(boxes[:, 1:3], (left, low))
+    boxes[:, 3:5] = np.minimum(boxes[:, 3:5], (right, high))
     for notch in shapes.outside:  # of a die that is no rectangle
         owner, boxes = _without(owner, boxes, notch)
     missing = np.setdiff1d(np.arange(len(design.connections)), owner)

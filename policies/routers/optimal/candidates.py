@@ -49,7 +49,7 @@ class Candidates:
         self.pins = [problem.pin_gcells[n] for n in self.nets]
         if most_pins is not None:
             self.pins = [_spread_out(problem.grid, pins, most_pins) for pins in self.pins]
-        edges = np.flatnonzero(grid.exists)
+        edges = np.flatnonzero(grid.exists & ~problem.closed)
         self.wires = edges[edges % AXES != VIA_AXIS]
         self.wire_of = np.full(grid.edges, -1)
         self.wire_of[self.wires] = np.arange(len(self.wires))

@@ -101,7 +101,8 @@ class Prices:
         length, unit = (UNIT, 1) if objective.wirelength else (1, grid.gcells)
         most = NEVER // (4 * unit * grid.gcells)
         kinds = len(candidates.demand)
-        price = np.where(grid.exists, length, NEVER) + np.zeros((kinds, 1), np.int64)
+        there = grid.exists & ~candidates.problem.closed
+        price = np.where(there, length, NEVER) + np.zeros((kinds, 1), np.int64)
         # Prices too high to be summed are lowered. The bound stays valid.
         capped = np.minimum(dual, most // candidates.demand.clip(1))
         price[:, candidates.wires] += unit * candidates.demand * capped

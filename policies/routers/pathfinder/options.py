@@ -27,9 +27,10 @@ class PathfinderOptions:
             value just above 0 to compare with wirelengths that leave vias out, such as those
             published for ISPD'98. A list has the costs of vias from layer 1 to 2, from 2 to 3, and
             so on.
-        crowding: the additional cost of the last track of an edge inside a layer, in edges, so that
-            fewer edges are filled. Each track beyond ``crowded_from`` costs more than the one
-            before. The router first minimises overflow, then wirelength plus this cost. 0: edges
+        crowding: the additional cost of the last track of an edge inside a layer that has many, in
+            edges, so that fewer edges are filled. Each track beyond ``crowded_from`` costs more
+            than the one before; where there are one or two tracks, they cost a quarter or half of
+            it. The router first minimises overflow, then wirelength plus this cost. 0: edges
             cost the same up to their capacity.
         crowded_from: share of an edge's capacity from which on it costs more.
         prefer_layers: the layers that long nets prefer, given as in :class:`marouting.Controls`;

@@ -23,7 +23,8 @@ UNIT = 256
 """Cost of an edge inside a layer, so that prices can be fractions of an edge."""
 
 FULL = 4096 * UNIT
-"""Cost of one track of overflow where overflow is to be avoided; higher than any price."""
+"""Cost of one track of overflow where overflow is to be avoided; higher than any price of an edge.
+With extreme weights of vias or of crowding a whole way around may cost more."""
 
 EXACT_LABELS = 1 << 17
 """Largest search for a cheapest tree, in labels: points in the box times 2^(pins - 1)."""
@@ -171,18 +172,10 @@ def _layer_costs(problem: Problem, options: PathfinderOptions) -> NDArray[np.int
 
 
 def _capacity(problem: Problem) -> NDArray[np.int32]:
-    """(E,) the capacity of every edge; -1 for wires along an axis on which a layer has none.
-
-    A chip's layers with wires along x, together with those along y, lead everywhere. Where they do
-    not, such wires are overflow as any other.
-    """
-    chip = problem.chip
-    if chip is None or not chip.wires.any(axis=0).all():
-        return problem.capacity
-    capacity = problem.capacity.reshape(-1, problem.grid[2], AXES).copy()
-    capacity[:, :, :VIA_AXIS][:, ~chip.wires] = -1
+    """(E,) the capacity of every edge; -1 if it is closed."""
+    capacity = np.where(problem.closed, np.int32(-1), problem.capacity)
     capacity.setflags(write=False)  # as the problem's, or numba would compile the router once more
-    return capacity.reshape(-1)
+    return capacity
 
 
 def make_arrays(problem: Problem, options: PathfinderOptions) -> tuple[ProblemArrays, Routing]:
