@@ -406,6 +406,8 @@ def test_all_nets_end_and_nothing_overflows(name: str) -> None:
     [
         ({"radius": 0}, "radius: expected 1 to"),
         ({"price": -1}, "price: expected a number from 0 to 1000"),
+        ({"price": 1, "rule": "greedy"}, "price: expected 0, without rule: shortest"),
+        ({"seen": True}, "seen: expected false, without a price"),
         ({"seed": -1}, "seed: expected a number from 0"),
         ({"max_steps": 0}, "max_steps: expected"),
     ],

@@ -1050,6 +1050,7 @@ def test_is_a_router() -> None:
         ({"via_weight": -1.0}, "via_weight: expected a number from 0 to 1000"),
         ({"prefer_layers": "2.."}, "prefer_layers: expected prefer_from beside it"),
         ({"prefer_weight": 2.0}, "prefer_weight: expected prefer_layers and prefer_from beside"),
+        ({"crowded_from": 0.2}, "crowded_from: expected crowding beside it"),
         ({"prefer_from": 4}, "prefer_from: expected prefer_layers beside it"),
         ({"prefer_weight": -1.0}, "prefer_weight: expected a number from 0.01 to 16"),
         (

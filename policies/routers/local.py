@@ -70,6 +70,8 @@ class LocalRouter:
     def __post_init__(self) -> None:
         check("radius", self.radius is None or 1 <= self.radius <= MOST, f"1 to {MOST}, or null")
         check("price", 0 <= self.price <= 1000, "a number from 0 to 1000")
+        check("price", not self.price or self.rule == "shortest", "0, without rule: shortest")
+        check("seen", self.price > 0 or not self.seen, "false, without a price")
         check("seed", 0 <= self.seed <= MOST, f"a number from 0 to {MOST}")
         _ = self.rules
 

@@ -148,6 +148,8 @@ class PathfinderOptions:
             )
             check(name, fits, f"a number from {least} to {most}")
         check("crowded_from", self.crowded_from < 1, "a number from 0, below 1")
+        usual = self.crowded_from == PathfinderOptions.crowded_from
+        check("crowded_from", self.crowding > 0 or usual, "crowding beside it")
         check("present_factor", self.present_factor > 0, "a number above 0, up to 1000")
         layers, least = self.prefer_layers is not None, self.prefer_from is not None
         check("prefer_layers", least or not layers, "prefer_from beside it, from what length")
