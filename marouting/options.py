@@ -97,6 +97,8 @@ class GameOptions(Rules):
         taken = {self.mask.observation_key, *TOLD}
         what = f"none of {', '.join(sorted(taken))}, found {self.mask.mask_key}"
         check("mask.mask_key", self.mask.mask_key not in taken, what)
+        what = "a name that does not begin with _, as Gymnasium's vectors have keys of that form"
+        check("mask.mask_key", not self.mask.mask_key.startswith("_"), what)
 
     @property
     def rules(self) -> Rules:
@@ -108,10 +110,10 @@ FORMS = {"observation": ("write", "see", "space"), "reward": ("__call__", "pay")
 """For each kind of component: its method for columns, that for a plain game, and further ones."""
 
 TOLD = (
-    "active", "is_success", "joined", "metrics", "net", "open", "overflow", "problem", "steps",
-    "task_ended", "task_mask", "task_obs", "tasks", "wirelength",
+    "active", "final_info", "final_obs", "is_success", "joined", "metrics", "net", "open",
+    "overflow", "problem", "steps", "task_ended", "task_mask", "task_obs", "tasks", "wirelength",
 )  # fmt: skip
-"""The keys of infos besides the mask."""
+"""The keys of infos besides the mask, those of Gymnasium's vectors among them."""
 
 ORDERS: dict[Agents, TurnOrder] = {"single": "sequential", "multi": "round_robin"}
 """The turn order for one agent and for many, if the options give none."""

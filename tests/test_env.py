@@ -951,6 +951,8 @@ def test_make_takes_problems_as_objects() -> None:
         ({"mask": {"in_observation": "yes"}}, "mask.in_observation: expected true or false"),
         ({"mask": {"mask_key": "observation"}}, "mask.mask_key: expected none of "),
         ({"mask": {"mask_key": "metrics"}}, "mask.mask_key: expected none of "),
+        ({"mask": {"mask_key": "final_obs"}}, "mask.mask_key: expected none of "),
+        ({"mask": {"mask_key": "_net"}}, "mask.mask_key: expected a name that does not begin with"),
         ({"mask": {"mask_key": 1}}, "mask.mask_key: expected a text, found 1"),
         ({"render_mode": "svg"}, "render_mode: expected one of ansi, rgb_array, human or null"),
         ({"problem": {"nets": 0}}, "nets: expected 1 to 1000000000, found 0"),
@@ -1092,6 +1094,9 @@ def test_a_step_needs_an_episode(face: str) -> None:
     _, step = STEPS[face](generate(1, nets=2)[0])
     with pytest.raises(ResetNeeded, match=r"expected a call of reset\(\)"):
         step(0)
+    if face == "raw_env":
+        with pytest.raises(ResetNeeded, match=r"expected a call of reset\(\)"):
+            global_routing_v0.raw_env({"nets": 2}).observe("net_0")
 
 
 def test_an_episode_that_is_over_changes_no_more() -> None:

@@ -348,6 +348,8 @@ def test_sb3_adds_up_what_trainings_took(tmp_path: Path) -> None:
     assert steps(later, "b.zip") == envs[1].taken.agent_steps > first + own
     with pytest.raises(InputError, match=r"^autoreset: expected none: games that are over begin"):
         RoutingVecEnv([PROBLEM], autoreset=True)
+    with pytest.raises(InputError, match=r"^play_once: expected none: games that are over begin"):
+        RoutingVecEnv([PROBLEM], play_once=True)
     plain = PPO("MlpPolicy", gymnasium.make(ENVIRONMENT_ID, problem=PROBLEM), n_steps=8)
     with pytest.raises(InputError, match="model: expected one with a RoutingVecEnv"):
         save(plain, tmp_path / "c.zip")
@@ -480,6 +482,10 @@ def test_torchrl_draws_from_problems_given_as_objects() -> None:
         assert "problem" not in env.taken.saved()["options"]
     with pytest.raises(InputError, match=r"^autoreset: expected none: TorchRL resets"):
         RoutingEnv(2, problem=PROBLEM, autoreset=True)
+    with pytest.raises(InputError, match=r"^play_once: expected none: TorchRL resets"):
+        RoutingEnv(2, problem=PROBLEM, play_once=True)
+    with pytest.raises(InputError, match=r"^everyone: expected true: every net has a row"):
+        RoutingEnv(2, problem=PROBLEM, everyone=False)
 
 
 def test_torchrl_files_that_hold_no_policy_are_refused(tmp_path: Path) -> None:
@@ -539,6 +545,9 @@ def test_benchmarl_takes_the_task() -> None:
     given = {"problem": PROBLEM, "max_steps": 6, "max_cycles": 6}  # an object, as in the recipe
     env = RoutingTask.TOY_4X4.get_task(given).get_env_fun(2, False, 0, "cpu")()
     assert env.rollout(3).batch_size == (2, 3)
+    del given["max_cycles"]
+    with pytest.raises(InputError, match="max_cycles: expected the number of steps after which"):
+        RoutingTask.TOY_4X4.get_task(given).get_env_fun(2, False, 0, "cpu")
     task = RoutingTask.TOY_4X4.get_from_yaml(str(config_file("configs/benchmarl/toy_4x4.yaml")))
     env = task.get_env_fun(3, continuous_actions=False, seed=0, device="cpu")()
     assert env.batch_size == (3,)

@@ -63,7 +63,8 @@ class GlobalRoutingAEC(NetEnv, AECEnv):
         self.agent_selection = self._names[self.game.turn]
 
     def observe(self, agent: str) -> Any:
-        """The agent's observation at this moment."""
+        """The agent's observation at this moment; raises ResetNeeded before the first episode."""
+        self._check_begun()
         return self._shown(self._number[agent])
 
     def step(self, action: int | None) -> None:

@@ -119,7 +119,7 @@ class GameEnv(EzPickle):
     def _check_begun(self) -> None:
         """Raises ResetNeeded before the first episode."""
         if not self._begun:
-            raise ResetNeeded("step: expected a call of reset() before it")
+            raise ResetNeeded("expected a call of reset() before anything else")
 
     # --- copies -----------------------------------------------------------------------------------
 
@@ -133,6 +133,8 @@ class GameEnv(EzPickle):
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Puts the environment back into a saved state.
+
+        Wrappers do not know of it: call their ``reset`` once before.
 
         Args:
             saved: returned by :meth:`save` of this environment, or of one with the same problem and

@@ -5,11 +5,12 @@
     from benchmarl.algorithms import IppoConfig
     from policies.integrations.benchmarl import RoutingTask
 
-    task = RoutingTask.TOY_4X4.get_task({"scenario": "toy-4x4-v0", "reward": "normalised"})
+    task = RoutingTask.TOY_4X4.get_task({"scenario": "toy-4x4-v0", "max_cycles": 50})
     task = RoutingTask.TOY_4X4.get_from_yaml("configs/benchmarl/toy_4x4.yaml")
 
-The configuration of a task holds the arguments of :class:`marouting.vector.BatchEnv`, and
-``max_cycles``: after so many steps a game has ended.
+The configuration of a task holds the arguments of :class:`marouting.vector.BatchEnv`, the scenario
+or problem among them, and ``max_cycles``: after so many steps every game has ended. The name of the
+task only names its results.
 
 A checkpoint is scored by ``marouting benchmark --router 'policies.integrations.benchmarl:Policy
 file=…/checkpoints/checkpoint_N.pt'``. To load one runs the code that it holds.
@@ -54,7 +55,8 @@ class RoutingClass(TaskClass):
         """Makes so many games, side by side in one environment."""
         del continuous_actions
         config = copy.deepcopy(self.config)
-        config.pop("max_cycles")
+        what = "the number of steps after which every game has ended"
+        check("max_cycles", config.pop("max_cycles", None), what)
         if seed is not None:
             config["seed"] = seed
         return lambda: RoutingEnv(num_envs, state=True, device=device, **config)

@@ -64,7 +64,8 @@ class RoutingVecEnv(VecEnv):
     """
 
     def __init__(self, problems: Any = None, *, everyone: bool = True, **options: Any) -> None:
-        check("autoreset", "autoreset" not in options, "none: games that are over begin again")
+        for name in ("autoreset", "play_once"):
+            check(name, name not in options, "none: games that are over begin again")
         self.batch = BatchEnv(problems, everyone=everyone, autoreset=False, **options)
         self.taken = Training(options, everyone=everyone)
         self._everyone = everyone

@@ -79,7 +79,9 @@ class RoutingEnv(EnvBase):
         device: Any = None,
         **options: Any,
     ) -> None:
-        check("autoreset", "autoreset" not in options, "none: TorchRL resets games that are over")
+        for name in ("autoreset", "play_once"):
+            check(name, name not in options, "none: TorchRL resets games that are over")
+        check("everyone", options.pop("everyone", True) is True, "true: every net has a row")
         self.batch = batch = BatchEnv(problems, autoreset=False, **options)
         m, n = batch.num_problems, batch.num_agents
         super().__init__(device=device, batch_size=[m])
