@@ -237,8 +237,12 @@ def move_order_of(
         InputError: the observation's ``move_order`` gives anything else.
     """
     own: Any = observation
-    order = np.asarray(own.move_order(obs))
+    order = own.move_order(obs)
     if not is_ours(type(observation).__module__):  # to check takes longer than the package's own
+        try:
+            order = np.asarray(order)
+        except ValueError:  # rows of different lengths
+            order = np.array(order, object)
         whole = order.shape == (len(obs), MOVES) and order.dtype.kind in "iu"
         if not whole or (np.sort(order) != np.arange(MOVES)).any():
             found = f"{type(observation).__name__}.move_order"

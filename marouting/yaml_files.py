@@ -85,7 +85,7 @@ class _Loader(Composer, yaml.CSafeLoader):
 
     def construct_integer(self, node: yaml.ScalarNode) -> int:
         """``10``, ``-010``, ``0o17`` or ``0x1f``."""
-        text = node.value
+        text = str(self.construct_scalar(node))
         return int(text, {"0o": 8, "0x": 16}.get(text[:2], 10))
 
     @staticmethod

@@ -1153,7 +1153,9 @@ def test_overrides_without_key_or_value(override: str, refused: Callable[..., st
     assert "key=value" in refused("train", "small.yaml", override, out="runs")
 
 
-@pytest.mark.parametrize("override", ["seed=[1", "seed=!!bool x", 'seed=!!int ""', "seed=&a [*a]"])
+@pytest.mark.parametrize(
+    "override", ["seed=[1", "seed=!!bool x", 'seed=!!int ""', "seed=!!int [1]", "seed=&a [*a]"]
+)
 def test_overrides_that_are_no_yaml(override: str, refused: Callable[..., str]) -> None:
     refused("train", "small.yaml", override, out="runs")
 

@@ -5,7 +5,9 @@ The oracle is the contest's evaluator once more, from its text: plain loops over
 
 import json
 import math
+import tempfile
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import networkx
@@ -149,6 +151,14 @@ def test_routers_lay_wires_only_along_their_layers(seed: int) -> None:
         for name, solution in found.items()
     }
     assert figures["optimal"] == min(figures.values())
+    # A start that has such wires does not stay.
+    with tempfile.TemporaryDirectory() as folder:
+        file = str(Path(folder, "start.solution"))
+        sequential_astar(replace(problem, chip=None)).write(file)
+        options = PathfinderOptions(passes=2, start=file)
+        begun = PathfinderRouter(options).solve(problem).solution
+    assert evaluate(problem, begun).connected
+    assert not any(problem.closed[edges].any() for edges in begun.edges)
     if len(nets) == 1:
         grid, graph = problem.topology, networkx.Graph()
         edges = np.flatnonzero(grid.exists & ~problem.closed)
@@ -156,6 +166,15 @@ def test_routers_lay_wires_only_along_their_layers(seed: int) -> None:
         ends = problem.pin_gcells[0].tolist()
         length = networkx.shortest_path_length(graph, ends[0], ends[-1])
         assert figures["optimal"] == (0, length)
+
+
+def test_wires_of_a_chip_are_booleans() -> None:
+    sides = np.arange(3)
+    chip = Chip(("a", "b"), sides, sides, np.array([[1, 0], [0, 1]]))
+    assert chip.wires.dtype == bool
+    for wrong in ([[1, 0]], [[2, 0], [0, 1]], [True, False]):
+        with pytest.raises(InputError, match="wires: expected two booleans for each of 2 layers"):
+            Chip(("a", "b"), sides, sides, np.array(wrong))
 
 
 def test_the_cost_by_hand(files: Path) -> None:

@@ -164,7 +164,14 @@ class Long(Rolled):
         return np.tile(np.arange(7), (len(obs), 1))
 
 
-@pytest.mark.parametrize("look", [Wrong(0), Wrong(5), Wrong(-1), Wrong(99), Long()])
+class Ragged(Rolled):
+    """Orders of different lengths."""
+
+    def move_order(self, obs: NDArray[np.float32]) -> Any:
+        return [list(range(6 - (i == 0))) for i in range(len(obs))]
+
+
+@pytest.mark.parametrize("look", [Wrong(0), Wrong(5), Wrong(-1), Wrong(99), Long(), Ragged()])
 def test_an_order_that_is_none_is_refused(look: Rolled) -> None:
     _, turned = players(True, observation=look)
     with pytest.raises(InputError, match=r"move_order: expected the moves 0 to 5, each once, for"):

@@ -1,7 +1,8 @@
-"""Data of a chip's files that the game does not use, but that writing routes needs.
+"""Data of a chip's files that the game does not use, but that routers and writing routes need.
 
-A problem counts Gcells and layers. Routing guides name layers and give boxes in chip coordinates;
-the ISPD 2024 contest has a cost of its own. :class:`Chip` keeps what is needed for these.
+A problem counts Gcells and layers. Routing guides name layers and give boxes in chip coordinates,
+wires run along one axis in each layer, and the ISPD 2024 contest has a cost of its own.
+:class:`Chip` keeps what is needed for these.
 """
 
 from dataclasses import dataclass
@@ -10,7 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from marouting.errors import InputError
 from marouting.memory import ADJUSTMENT, check_memory
+from marouting.problem.grid import VIA_AXIS
 from marouting.problem.net import Adjustment
 
 
@@ -57,6 +60,14 @@ class Chip:
     contest: Contest | None = None  # of a problem of the ISPD 2024 contest
     clock: NDArray[np.bool_] | None = None  # (nets,) whether the files call a net a clock; None: no
     only_pins: bool = False  # whether the tracks of the lowest layer were left out
+
+    def __post_init__(self) -> None:
+        wires = np.asarray(self.wires)
+        if wires.shape != (len(self.layers), VIA_AXIS) or not np.isin(wires, (0, 1)).all():
+            raise InputError(
+                f"wires: expected two booleans for each of {len(self.layers)} layers, found {wires}"
+            )
+        object.__setattr__(self, "wires", wires.astype(np.bool_))
 
     def on_chip(self, box: NDArray[np.int64]) -> NDArray[np.int64]:
         """(n, 4) int64, the parts of boxes that lie on the chip; empty boxes where none does.

@@ -73,8 +73,8 @@ class Problem:
         tile: width and height of a Gcell in chip coordinates.
         adjustments: edges whose capacity differs from their layer's; if an edge has several, the
             last one counts (ISPD 2008 evaluator).
-        chip: names of layers, lines between Gcells and costs that the problem's files give beyond
-            the problem itself, or None. Equal problems may differ in it, and ``.gr`` files do not
+        chip: names and axes of layers, lines between Gcells and costs that files give beyond the
+            problem itself, or None. Equal problems may differ in it, and ``.gr`` files do not
             hold it.
         kept: nets whose routes stay (:mod:`marouting.problem.controls`), or None. The capacities
             lack what they take. Solutions are written with them and read without them.
@@ -447,6 +447,8 @@ class Problem:
         if self.chip is None:
             return ()
         lost = ["names of layers", "further Gcells of pins"]
+        if self.closed.any():
+            lost.append("axes along which layers have no wires")
         # The last column and row reach to the die's border.
         if any(len(set(np.diff(at)[:-1])) > 1 for at in (self.chip.x, self.chip.y)):
             lost.append("sizes and so positions of Gcells")

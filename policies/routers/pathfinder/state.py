@@ -272,11 +272,16 @@ def with_larger_pool(routing: Routing, size: int) -> Routing:
 
 
 def with_trees(routing: Routing, solution: Solution) -> Routing:
-    """The routing with the trees of a solution, for the first pass to put in place."""
+    """The routing with the trees of a solution, for the first pass to put in place.
+
+    Those of open nets, or with wires on closed edges, are left out.
+    """
     tree = solution.pruned()
     net, edge = tree.uses
     open_nets = set(evaluate(solution.problem, tree).disconnected)
-    taken = np.array([each.name not in open_nets for each in solution.problem.nets])[net]
+    fits = np.array([each.name not in open_nets for each in solution.problem.nets])
+    fits[net[solution.problem.closed[edge]]] = False
+    taken = fits[net]
     routing.length[:] = np.bincount(net[taken], minlength=len(routing.length))
     routing.start[:] = np.cumsum(routing.length) - routing.length
     size = int(np.count_nonzero(taken))
