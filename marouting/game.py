@@ -156,9 +156,7 @@ class Game:
         self.tree: list[set[int]] = [set() for _ in self.nets]  # see "Tasks"
         self.begun: list[set[int]] = [set() for _ in self.nets]  # tasks begun
         self.visited: list[set[int]] = [set() for _ in self.nets]  # Gcells, in the present task
-        self.taken: list[set[int]] = [
-            set() for _ in self.nets
-        ]  # with release_failed: edges new in it
+        self.taken: list[set[int]] = [set() for _ in self.nets]  # edges to release if it fails
         self.joined_tasks = self.overflow = self.wirelength = self.moves = 0
         self.active, self._at = list(self.order), 0  # whose turn it is: active[_at]
         self.queue: list[int] = []  # nets that may still be ripped up in this round, last one first

@@ -255,9 +255,9 @@ def move_order_of(
 
 def all_actions(order: NDArray[np.int64], actions: int, messages: int) -> NDArray[np.int64]:
     """(…, A) int64, an order of the six moves (…, 6) carried on to all actions and messages."""
-    moves = actions // messages
     if actions == MOVES:
         return order
+    moves = actions // messages
     rest = np.broadcast_to(np.arange(MOVES, moves), (*order.shape[:-1], moves - MOVES))
     one = np.concatenate((order, rest), axis=-1)
     return np.concatenate([one + moves * message for message in range(messages)], axis=-1)
