@@ -93,7 +93,7 @@ def in_this_process(parts: Sequence[Any], *_: Any) -> Iterator[list[Any]]:
 
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures are no pictures, in tests of other things: to draw one takes a third of a second."""
+    """Figures are not drawn, in tests of other things: one takes a third of a second."""
 
     def savefig(_figure: Any, path: Path, **_: Any) -> None:
         path.write_text("no picture")

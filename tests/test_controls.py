@@ -349,7 +349,7 @@ def test_kept_routes_that_cannot_be(tmp_path: Path) -> None:
         one.write(tmp_path / "p.gr")
     assert one.horizontal_capacity == (2,)
     assert one.capacity_of(np.array([0, 3])).tolist() == [1, 1]
-    with pytest.raises(InputError, match="problem: expected a problem of which no nets are kept"):
+    with pytest.raises(InputError, match="problem: expected a problem without nets that stay"):
         adjusted(one, Controls(derate={"1": 0.5}))
     assert adjusted(one, Controls()) is one
     sequential_astar(problem).write(file)

@@ -117,7 +117,7 @@ def test_what_a_problem_says(files: Path) -> None:
 
 @given(st.integers(0, 2**32 - 1))
 def test_routers_lay_wires_only_along_their_layers(seed: int) -> None:
-    """The optimum among such routes is also that of networkx's shortest paths, for a net alone."""
+    """For a single net the optimum has the length of networkx's shortest path along such wires."""
     rng = np.random.default_rng(seed)
     wires = rng.permutation([[True, False], [False, True], [False, False], [True, False]])
     nets = [

@@ -165,14 +165,14 @@ def adjusted(problem: Problem, controls: Controls) -> Problem:
     Raises:
         InputError: a layer, a net or an area does not exist, a range of layers has wires along one
             axis only, or kept routes cannot be read or do not join their pins. The message names
-            the control. Or nets of the problem are kept already.
+            the control. Or the problem has nets that stay already.
     """
     check_problem(problem)
     check("controls", isinstance(controls, Controls), f"Controls, found {controls!r}")
     if all(getattr(controls, own.name) == getattr(_NONE, own.name) for own in fields(_NONE)):
         return problem
-    once = "a problem of which no nets are kept: give all controls at once"
-    check("problem", problem.kept is None, once)
+    what = "a problem without nets that stay: give all controls at once"
+    check("problem", problem.kept is None, what)
     kept_nets, kept_routes, covered = _kept_routes(problem, controls)
     free = np.setdiff1d(np.arange(len(problem.nets)), kept_nets)
     check("keep", len(free), f"at least one net that does not stay, found all in {controls.keep}")

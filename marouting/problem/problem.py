@@ -268,6 +268,7 @@ class Problem:
             return np.broadcast_to(np.False_, (edges,))
         closed = np.zeros((edges // (AXES * self.grid[2]), self.grid[2], AXES), np.bool_)
         closed[:, :, :VIA_AXIS] = ~chip.wires
+        closed.setflags(write=False)
         return closed.reshape(-1)
 
     @functools.cached_property

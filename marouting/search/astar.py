@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from marouting.errors import InputError
 from marouting.kernels import as_index, compiled, i64
 from marouting.memory import SEARCH, TABLES, check_memory
-from marouting.problem.grid import AXES, MOVES, OFF_GRID, VIA_AXIS, Grid
+from marouting.problem.grid import AXES, MOVES, VIA_AXIS, Grid
 from marouting.problem.problem import UNLIMITED, Problem, check_choice, check_problem
 from marouting.problem.solution import Solution
 from marouting.rules import NetOrder, Target, net_ranks
@@ -61,7 +61,7 @@ class Capacities(NamedTuple):
 
     neighbour: NDArray[np.int32]  # (G, 6) Gcell that a move leads to
     edge: NDArray[np.int32]  # (G, 6) edge that a move crosses
-    exits: NDArray[np.uint8]  # (G,) bit per move: it leads somewhere
+    exits: NDArray[np.uint8]  # (G,) bit per move: it is possible
     position: NDArray[np.int32]  # (G, 3) x, y, z of a Gcell
     remaining: NDArray[np.int32]  # (E,) remaining capacity
     demand: NDArray[np.int32]  # (Z,) the net's demand on an edge of each layer
@@ -257,12 +257,12 @@ def _route(
 
 
 def _exits(problem: Problem) -> NDArray[np.uint8]:
-    """(G,) bit per move: it crosses an edge that is not closed."""
+    """(G,) uint8, a bit per move: it stays on the grid, and its edge is not closed."""
     grid = problem.topology
     if not problem.closed.any():
         return grid.exits
-    moves = (grid.neighbour != OFF_GRID) & ~problem.closed[grid.edge]
-    exits = np.packbits(moves, axis=1, bitorder="little").reshape(-1)
+    closed = np.packbits(problem.closed[grid.edge], axis=1, bitorder="little")
+    exits = grid.exits & ~closed.reshape(-1)
     exits.setflags(write=False)  # as the grid's, or numba would compile the search once more
     return exits
 
